@@ -113,6 +113,7 @@ def test_a_level_without_functions_has_descriptors_of_zero():
 
 def test_what_does_not_fit_is_refused(itself):
     filters = research.heat_and_wave_filters(itself.target, itself.source)
+    assert (len(filters.times), len(filters.energies)) == (10, 20)
     with pytest.raises(ParameterError, match="expected a level from 0 to 1, got 2"):
         research.signature_functions(itself.target, filters, 2)
     with pytest.raises(ParameterError, match="at most"):

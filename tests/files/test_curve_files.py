@@ -142,6 +142,7 @@ def test_a_first_position_repeated_at_the_end_closes_a_curve(closed: bool, tmp_p
     (curve,) = read_points(tmp_path / "a.json").curves
     assert curve.closed
     assert curve.positions.tolist() == positions
+    assert curve.vertices.tolist() == [-1, -1, -1]
 
 
 def test_curves_of_3d_slicer_are_read(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from examples.shapes import creature, poles
 from cagemap.errors import ParameterError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.meshes.formats import read_mesh, write_mesh
-from cagemap.files.result.folder import write_result
+from cagemap.files.result.folder import read_result, write_result
 from cagemap.files.result.manifest import stated_inputs
 from cagemap.files.values.attributes import read_attributes
 from cagemap.files.values.part_numbering import FileRows
@@ -22,6 +22,7 @@ from cagemap.mesh.parts import extract_faces, find_part, join_meshes
 from cagemap.mesh.weld import weld_mesh
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
+from cagemap.tasks.report import carried_data
 from cagemap.tasks.requests.suggest import SuggestRequest
 from cagemap.tasks.requests.transfer import TransferRequest
 from cagemap.tasks.requests.wrap import WrapRequest
@@ -174,6 +175,8 @@ def test_a_wrapped_part_stays_in_its_file(folder: Path, suffix: str) -> None:
     np.testing.assert_array_equal(wrapped.face_indices, scene.face_indices)
     np.testing.assert_array_equal(wrapped.positions[:BODY_START], scene.positions[:BODY_START])
     assert np.abs(wrapped.positions - scene.positions).max() < 0.05 * np.ptp(scene.positions)
+    shown = carried_data(folder / "R", read_result(folder / "R")).wrapped
+    np.testing.assert_array_equal(shown.positions, wrapped.positions[BODY_START:])
     assert any("stay where they are" in text for text in warnings)
     assert f"wrapped{suffix}: {scene.n_vertices} vertices, {creature().n_vertices} of them wrapped (level 0)" in summary
     _, warnings = run_wrap(WrapRequest((folder / "R",), folder / f"fine{suffix}", fit_level=1), Stages())

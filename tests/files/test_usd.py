@@ -381,6 +381,10 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
         (lambda mesh: mesh.CreateSubdivisionSchemeAttr("doo-sabin"), "subdivisionScheme"),
         (lambda mesh: uv_primvar(mesh, "st", "faceVarying").Set([Gf.Vec2f(0, 0)]), "primvar st"),
         (lambda mesh: uv_primvar(mesh, "st", "constant").Set([Gf.Vec2f(float("nan"), 0)]), "not numbers"),
+        (
+            lambda mesh: [(st := uv_primvar(mesh, "st", "faceVarying")).Set([Gf.Vec2f(0, 0)]), st.SetIndices([1] * 24)],
+            "got indices from 1 to 1 into 1 values",
+        ),
     ],
 )
 def test_meshes_that_do_not_fit_together_are_refused(change: object, message: str, tmp_path: Path) -> None:

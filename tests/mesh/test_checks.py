@@ -31,6 +31,7 @@ def test_valid_shapes_pass_at_every_scale_and_place(name: str, scale: float) -> 
     report = check_mesh(moved)
     assert report.is_valid
     assert report.genus == genus
+    assert f"  {2 - 2 * genus - loops}  (genus {genus})\n" in str(report)
     assert handle_count(mesh) == genus
     assert len(report.boundary_loops) == loops
     assert report.component_sizes == (mesh.n_faces,)
@@ -182,7 +183,8 @@ def test_slits_are_noted_and_openings_are_not() -> None:
     mesh = grid(4, 4)
     assert check_mesh(mesh).notes == ()
     hole = keep_faces(mesh, np.setdiff1d(np.arange(16), [5]))
-    assert check_mesh(hole).notes == ()
+    for size in (0.1, 1.0, 10.0):
+        assert check_mesh(hole.with_positions(size * hole.positions)).notes == ()
     corners = hole.face_indices.copy()
     positions = hole.positions.copy()
     a, b, c, d = faces_of(mesh)[5]

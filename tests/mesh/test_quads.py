@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature, cube
+from examples.shapes import creature, cube, grid
 
 from cagemap.errors import InvalidMeshError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
@@ -18,9 +18,12 @@ from cagemap.tasks.mesh_commands import run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.mesh_commands import RefineRequest
 
+SHEAR = np.array([[1.0, 0.1, 0.2], [0.0, 1.0, 0.1], [0.0, 0.0, 1.0]])
 
-def split(mesh: ControlMesh) -> ControlMesh:
+
+def split(mesh: ControlMesh, shift: int = 0) -> ControlMesh:
     corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
+    corners, faces = np.roll(corners.reshape(-1, 3), shift, axis=0), np.roll(faces, shift)
     return with_corners_of(mesh, faces, np.arange(0, 3 * len(faces) + 1, 3), corners.ravel())
 
 
@@ -28,11 +31,16 @@ def faces_of(mesh: ControlMesh) -> set[tuple[int, ...]]:
     return {tuple(sorted(mesh.face(number).tolist())) for number in range(mesh.n_faces)}
 
 
-@pytest.mark.parametrize("mesh", [cube(), creature()])
-def test_quads_come_back(mesh: ControlMesh) -> None:
+SHEARED = cube().with_positions(9.0 * cube().positions @ SHEAR)
+# One face has a corner of almost 180 degrees: only the order of its triangles says that they were a quad.
+FLAT = grid(4, 4).with_positions(np.where(np.arange(25)[:, None] == 12, (2.48, 2.48, 0.0), grid(4, 4).positions))
+
+
+@pytest.mark.parametrize(("mesh", "shift"), [(cube(), 0), (creature(), 0), (SHEARED, 1), (FLAT, 0)])
+def test_quads_come_back(mesh: ControlMesh, shift: int) -> None:
     uvs = np.random.default_rng(2).uniform(size=(mesh.n_vertices, 2))
     mesh = replace(mesh, uvs=uvs, uv_indices=mesh.face_indices)
-    joined, count = join_quads(split(mesh))
+    joined, count = join_quads(split(mesh, shift))
     assert count == int((mesh.face_sizes == 4).sum())
     assert faces_of(joined) == faces_of(mesh)
     require_valid(joined)

@@ -79,7 +79,7 @@ def test_surfaces_that_only_touch_stay_apart() -> None:
     assert weld_tolerance(both) is None
     welded = weld_mesh(both, 0.0)
     assert welded.mesh is both
-    assert "no border vertices" in welded.notes[0]
+    assert "no border vertices at the same place to weld" in welded.notes[0]
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.0, 0.0), (5e-7, 1e-6), (5e-6, 1e-5), (1e-3, None)])

@@ -38,10 +38,11 @@ def test_heat_filters_scale_with_area(spectrum):
     np.testing.assert_allclose(heat_filters(spectrum / 4.0, 4.0 * times), heat_filters(spectrum, times), rtol=1e-12)
 
 
-@pytest.mark.parametrize("count", [3, 8, 20, 100])
+@pytest.mark.parametrize("count", [3, 8, 20, 30, 100])
 def test_wave_filters_are_bands_of_energy(spectrum, count):
     energies, width = wave_energies(spectrum, count)
     filters = wave_filters(spectrum, energies, width)
+    assert width == pytest.approx(np.log(spectrum[-1] / spectrum[1]) * (7.0 / count if count > 28 else 0.125))
     assert np.all(np.diff(energies) > 0.0)
     assert np.log(spectrum[1]) < energies[0]
     assert energies[-1] < np.log(spectrum[-1])

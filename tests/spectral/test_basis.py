@@ -240,6 +240,7 @@ def test_a_schedule_may_skip_a_level(creature, literal):
     refinement, operators, _ = creature
     basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(20, 0, 10), literal=literal))
     assert basis.schedule == (20, 0, 10)
+    assert (np.diff(basis.indices) > 0).all()
     assert basis.residuals.max() < 1e-3  # 6e-5 without the gap
 
 

@@ -78,6 +78,10 @@ def test_a_finish_is_the_commands_that_one_would_type(tmp_path: Path) -> None:
     assert todo[1].request == TransferRequest(
         files.result, tmp_path / "cow_from_spot.png", tmp_path / "spot.png", size=256, unwrap=True
     )
+    asked = FinishOptions(wrap=True, option_values={("wrap", "mhclo"): True, ("transfer", "rays"): 8})
+    words = [typed(command.request) for command in finish_commands(OPTIONS, files, asked, use_landmarks=True)]
+    assert ["--mhclo" in line for line in words].count(True) == 1
+    assert not any("--rays" in line for line in words)  # of an image that is not asked for
 
 
 def test_every_option_is_on_the_page_or_left_out_for_a_reason() -> None:

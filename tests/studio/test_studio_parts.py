@@ -106,6 +106,7 @@ def test_what_is_left_alone_is_drawn_apart(folder: Path) -> None:
     rest = model.look.other_parts
     # The hat lies five above, the eye inside.
     assert rest.positions[:, 1].max() > 5
+    assert (model.level, len(rest.triangles)) == (1, 2 * 2 * 4 * 6)  # subdivided as often as the open part
     assert b'"other_parts"' in source_skin(model)
     write_mesh(folder / "one.obj", creature())
     alone = open_model(folder / "one.obj", None, None, 300)
@@ -345,6 +346,8 @@ def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(tmp_p
     assert "is no valid cage" in torn.notes[0]
     # A small mesh of triangles too: models of games have such faults. What is wrong with it is said.
     small = icosahedron()
+    write_mesh(tmp_path / "small.obj", small)
+    assert not open_model(tmp_path / "small.obj", None, None, 300).dense
     faces = np.concatenate([small.face_indices.reshape(-1, 3), [[*small.face_indices[:2], 9]]])
     write_mesh(tmp_path / "small.obj", ControlMesh.from_faces(small.positions, faces.tolist()))
     repaired = open_model(tmp_path / "small.obj", None, None, 300)

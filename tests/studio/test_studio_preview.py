@@ -193,6 +193,7 @@ def test_cancel_drops_the_map_that_waits_too(opened: Session, held_tasks: queue.
 
 def test_cancelling_a_drawing_leaves_a_map_of_the_same_landmarks_checked(opened, boxes, held_tasks):
     before, texture = opened.state.map, opened.state.files.texture
+    assert 0 < before.first_seconds < 600
     opened.match_again()
     held_tasks.get(timeout=10)
     opened.open(replace(opened.state.files, texture=boxes / "other.png"))

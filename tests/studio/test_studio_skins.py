@@ -108,9 +108,11 @@ def identity(n: int, triangles: np.ndarray) -> PreviewMap:
     return PreviewMap(first, (triangles[first] == np.arange(n)[:, None]).astype(float), np.ones(n))
 
 
-def test_an_image_of_floats_is_shown_as_linear(tmp_path: Path) -> None:
-    write_image(tmp_path / "skin.exr", np.full((8, 8, 3), 0.21586, dtype=np.float32))
-    np.testing.assert_array_equal(with_texture(Look(), tmp_path / "skin.exr").texture, 128)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_an_image_of_floats_is_shown_as_linear(tmp_path: Path, channels: int) -> None:
+    write_image(tmp_path / "skin.exr", np.full((8, 8, channels), 0.21586, dtype=np.float32))
+    shown = with_texture(Look(), tmp_path / "skin.exr").texture
+    np.testing.assert_array_equal(shown, np.full((8, 8, 3), 128))
 
 
 def test_colours_at_the_border_of_an_image_are_not_those_of_the_opposite_border() -> None:

@@ -143,7 +143,7 @@ def test_undo_and_redo_walk_the_same_way_back_and_forth(todo: list[str]) -> None
 
 
 def test_a_name_typed_letter_by_letter_is_one_step() -> None:
-    history = History().advance(pair(pair(LandmarkList(), 1.0), 2.0))
+    history = History().advance(pair(LandmarkList(), 1.0)).advance(pair(pair(LandmarkList(), 1.0), 2.0))
     before = history
     for typed in ("e", "ey", "eye"):
         history = history.rename_landmark(1, typed)
@@ -200,13 +200,15 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     refuses(FormatError, "result folder", command_line_files, None, None, None, None, result)
     write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": {"level": 1}}))
     note_match(MatchRequest(tmp_path / "cow.obj", tmp_path / "spot.obj", result, tmp_path / "l.json", level=1))
+    manifest = json.loads((result / "manifest.json").read_text())
+    manifest["source"]["scheme"] = {"name": "bilinear"}
+    (result / "manifest.json").write_text(json.dumps(manifest))
     files = command_line_files(None, None, None, None, result)
     names = (files.target, files.source, files.landmarks, files.result)
     assert names == tuple(tmp_path / name for name in ("cow.obj", "spot.obj", "l.json", "RESULT"))
-    assert files.schemes == ("catmull-clark", "catmull-clark")
+    assert files.schemes == ("catmull-clark", "bilinear")
     asked = command_line_files(None, None, None, None, result, (None, "none"))
     assert asked.schemes == ("catmull-clark", "none")
-    manifest = json.loads((result / "manifest.json").read_text())
     for entry, words in (({"inputs": [1]}, "inputs"), ({"format_version": 99}, "format version 99")):
         (result / "manifest.json").write_text(json.dumps(manifest | entry))
         refuses(FormatError, words, command_line_files, None, None, None, None, result)

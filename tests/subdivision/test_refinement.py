@@ -302,7 +302,7 @@ def test_levels_with_uvs_are_pickled() -> None:
     ("faces", "message"),
     [
         ([(0, 1, 2), (0, 1, 3), (1, 0, 4)], r"edges with more than two faces: \(0, 1\)"),
-        ([(0, 1, 2, 3), (0, 1, 4)], r"same direction: \(0, 1\)"),
+        ([(0, 1, 2, 3), (0, 1, 4)], r"got 1 .*same direction: \(0, 1\);"),
         ([(0, 1, 2), (0, 3, 4)], "separate fans of faces touch: 0"),
         ([(0, 1, 1, 2), (0, 2, 3, 4)], r"from a vertex to itself: \(1, 1\)"),
         ([(0, 1, 2, 3)], "vertices without a face: 4"),

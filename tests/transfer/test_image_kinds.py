@@ -192,7 +192,7 @@ def test_a_colour_written_in_a_type_of_another_encoding_is_said(folder, given, b
 def test_heights_are_not_multiplied_by_alpha(folder: Path) -> None:
     write_image(folder / "heights.exr", np.tile(np.float32([2.0, 0.5]), (32, 32, 1)))
     request = TransferRequest(folder / "WHOLE", folder / "carried.exr", displacement=folder / "heights.exr")
-    run_transfer(request, Stages())
+    assert "\n  height = (value - 0) * 1 in the target's units" in run_transfer(request, Stages())[0]
     np.testing.assert_allclose(read_image(folder / "carried.exr").pixels, 4.0, rtol=1e-3)  # twice as large a target
 
 

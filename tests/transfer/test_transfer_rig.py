@@ -206,6 +206,8 @@ def test_a_map_file_says_which_level_its_triangles_are_of(tmp_path: Path, ring: 
     write_map(file, PointMap.from_vertices(coarse, coarse, np.arange(coarse.n)))
     assert source_level(file, ring) == 1
     refuses(FormatError, f"those of the file are of one with {coarse.n}", read_images, file, surface)
+    (tmp_path / "dense.mtx").write_text(f"%%MatrixMarket matrix array real general\n{surface.n} {coarse.n}\n0\n")
+    assert source_level(tmp_path / "dense.mtx", ring) == 1
     for damaged in ({"shape": np.zeros(0)}, {"triangle": np.zeros(0), "source_size": np.zeros(0)}):
         write_npz(file, damaged)
         assert source_level(file, ring) is None

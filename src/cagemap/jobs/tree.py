@@ -28,7 +28,7 @@ def spanning_tree(assets: Sequence[Asset]) -> list[tuple[str, str]]:
         except CagemapError as error:
             raise FormatError(f"{asset.name}: a spanning tree needs every mesh, and this one: {error}") from error
     # SciPy takes a length of 0 as no edge.
-    lengths = squareform(pdist(np.array(signatures), "cityblock")) / QUANTILE_COUNT + 1.0
+    lengths = squareform(pdist(np.array(signatures), "cityblock")) + 1.0
     np.fill_diagonal(lengths, 0.0)
     edges = minimum_spanning_tree(lengths).tocoo()
     pairs = []

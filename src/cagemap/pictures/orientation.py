@@ -182,11 +182,10 @@ def _faces_away(points: FloatArray) -> bool:
     """Whether toes or head show that a shape with Y up faces -Z."""
     _, height, length = np.ptp(points, axis=0)
     part = (points[:, 1] - points[:, 1].min()) / (height or 1.0)
-    forward: FloatArray = points[:, 2] - (points[:, 2].min() + points[:, 2].max()) / 2
 
     def mean(low: float, high: float) -> float:
         inside = (part >= low) & (part <= high)
-        return float(forward[inside].mean()) if inside.any() else 0.0
+        return float(points[inside, 2].mean()) if inside.any() else 0.0
 
     if height > MIN_TALL_RATIO * length:
         return mean(0.0, 0.04) - mean(0.06, 0.15) < -MIN_TOE_OFFSET

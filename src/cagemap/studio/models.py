@@ -86,7 +86,7 @@ def with_texture(look: Look, path: Path) -> Look:
 
 
 def _shrink_tile(pixels: Pixels, rows: int, columns: int) -> Pixels:
-    """(h, w, 3) in 8 bits: one of rows x columns tiles, reduced to `PREVIEW_TEXTURE_SIZE`."""
+    """(h, w, 3), or (h, w, 1) if grey, in 8 bits: one of rows x columns tiles, reduced to `PREVIEW_TEXTURE_SIZE`."""
     height, width = pixels.shape[:2]
     step = max(1, -(-max(rows * height, columns * width) // PREVIEW_TEXTURE_SIZE))
     small = _resample(pixels, -(-height // step), -(-width // step))
@@ -94,7 +94,7 @@ def _shrink_tile(pixels: Pixels, rows: int, columns: int) -> Pixels:
         small = np.rint(255 * encode_srgb(small.astype(np.float64))).astype(np.uint8)
     elif small.dtype != np.uint8:
         small = np.rint(255 * (small / np.iinfo(small.dtype).max)).astype(np.uint8)
-    return np.repeat(small[..., :1], 3, axis=2) if small.shape[2] < 3 else small[..., :3]
+    return small[..., : 1 if small.shape[2] < 3 else 3]
 
 
 def _resample(pixels: Pixels, height: int, width: int) -> Pixels:

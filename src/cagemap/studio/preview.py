@@ -177,7 +177,7 @@ class Preview:
                 (fresh,) = arguments
                 return FindMap(pair_files, landmarks, fresh, chosen_answer=chosen_answer)
             case "answer":
-                return FindMap(pair_files, landmarks, False, *arguments)
+                return FindMap(pair_files, landmarks, answer=arguments[0])
             case "image":
                 return ShowImage(pair_files, preview_map)
             case "pose":

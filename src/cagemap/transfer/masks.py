@@ -48,7 +48,7 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
     grey = values[:, :colors].mean(axis=1) * (values[:, -1] if colors < values.shape[1] else 1.0)
     sums = np.bincount(surface.triangles.ravel(), grey, minlength=level.n_vertices)
     counts = np.bincount(surface.triangles.ravel(), minlength=level.n_vertices)
-    return np.clip(np.divide(sums, counts, out=np.zeros(level.n_vertices), where=counts > 0), 0.0, 1.0)
+    return np.clip(sums / counts, 0.0, 1.0)
 
 
 @kinds_checked

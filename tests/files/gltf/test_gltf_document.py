@@ -14,7 +14,7 @@ import pytest
 from cagemap.errors import FormatError
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.character import character_of, read_character
-from cagemap.files.gltf.document import glb_bytes, read_document, write_document
+from cagemap.files.gltf.document import _normalise_weights, glb_bytes, read_document, write_document
 from cagemap.files.gltf.entries import read_accessor
 from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.parts import read_scene
@@ -152,6 +152,12 @@ def test_draco(shared_data: Path) -> None:
         np.testing.assert_allclose(one.mesh.positions.max(axis=0), other.mesh.positions.max(axis=0), atol=1e-4)
         assert list(one.shapes) == list(other.shapes)
     assert "KHR_draco" not in json.dumps(read_document(place / "foreign" / "mh_male_young_draco.glb").json)
+
+
+def test_weights_of_draco_have_sums_of_one_or_none() -> None:
+    weights = np.array([[1, 2, 1, 0], [0, 0, 0, 0]], dtype=np.float32)
+    (found,) = _normalise_weights({"WEIGHTS_0": weights}).values()
+    np.testing.assert_array_equal(found, weights / 4)
 
 
 def test_draco_without_its_library(monkeypatch: pytest.MonkeyPatch, shared_data: Path) -> None:

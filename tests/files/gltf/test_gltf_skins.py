@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,10 @@ from cagemap.character.poses import pose_at, world_transforms
 from cagemap.character.values import skinned_positions
 from cagemap.errors import FormatError
 from cagemap.files.gltf.character import character_of
+from cagemap.files.gltf.document import write_document
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import transform
+from cagemap.files.gltf.read import gltf_skeleton
 from cagemap.files.gltf.write import character_glb
 
 from gltf_scenes import Maker, arm, changed, matrices, moved
@@ -48,7 +51,7 @@ def test_shapes_turn_with_the_bind_pose() -> None:
     np.testing.assert_allclose(grown.shapes["raise"][4:], [[0, 0, 2]] * 2, atol=1e-6)
 
 
-def test_an_armature_is_part_of_the_transforms_of_its_joints() -> None:
+def test_an_armature_is_part_of_the_transforms_of_its_joints(tmp_path: Path) -> None:
     quarter = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]
     above = {"scale": [0.1, 0.1, 0.1], "rotation": quarter, "translation": [0, 0, 3]}
     plain, turned = character_of(arm()), character_of(arm(above=above))
@@ -59,6 +62,9 @@ def test_an_armature_is_part_of_the_transforms_of_its_joints() -> None:
     for one, other in zip(turned.parts, plain.parts, strict=True):
         expected = np.column_stack([other.mesh.positions, np.ones(other.mesh.n_vertices)]) @ placed
         np.testing.assert_allclose(one.mesh.positions, expected[:, :3], atol=1e-6)
+    write_document(tmp_path / "arm.glb", arm(above=above))
+    axes = gltf_skeleton(tmp_path / "arm.glb").axes
+    np.testing.assert_allclose(axes, [10 * placed[:3, :3]] * 2, atol=1e-6)
     root = next(track for track in turned.animations[0].tracks if track.channel == "translation")
     np.testing.assert_allclose(root.values, [[0, 0, 3], [0, -0.1, 3], [0, 0, 3]], atol=1e-6)
     bend = next(track for track in turned.animations[0].tracks if track.channel == "rotation")
