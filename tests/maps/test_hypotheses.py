@@ -9,10 +9,10 @@ import pytest
 from examples.shapes import creature, cube, grid, voxels
 from scipy.spatial.transform import Rotation
 
-from cagemap.deform.fit import evaluate_placement
+from cagemap.deform.fit import evaluate_clusters, evaluate_placement
 from cagemap.deform.multi_start import StartFits
 from cagemap.deform.placement import Placement
-from cagemap.deform.problem import PreparedPair, Problem
+from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import InvalidLandmarksError
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.meshes.formats import read_mesh
@@ -266,6 +266,25 @@ def test_correct_landmarks_do_not_make_the_rest_worse(shared_data: Path) -> None
     assert 100 * errors.mean() < 2.2
 
 
+def test_half_of_the_assignments_of_limbs_is_fitted(prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The half whose starts by ZoomOut cost least."""
+    shifts, fitted = np.random.default_rng(3).permutation(10), list[int]()
+
+    def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
+        return clusters.energy.graph.positions + 0.02 * shifts[clusters.constrained_vertices[0]]
+
+    def coarse_fit(problem: Problem, start: FloatArray, clusters: Clusters) -> Placement:
+        fitted.extend(clusters.constrained_vertices[0].tolist())
+        return evaluate_clusters(prepared, clusters, start)
+
+    tips = [(np.array([vertex]), np.array([vertex])) for vertex in range(10)]
+    monkeypatch.setattr(search, "assigned_limbs", lambda problem: tips)
+    monkeypatch.setattr(search, "zoomout_start", zoomout_start)
+    monkeypatch.setattr(search, "coarse_fit", coarse_fit)
+    search.fit_small_graph(Problem.of_landmarks(prepared, Landmarks.none()), False, lambda placed: None)
+    assert sorted(fitted) == sorted(np.argsort(shifts)[:5])
+
+
 @pytest.mark.parametrize(("n_landmarks", "kept"), [(0, ["cheapest", "1.1"]), (2, ["cheapest", "1.1"]), (3, None)])
 def test_assignments_of_limbs_that_cost_much_more_are_refined_with_landmarks_only(
     prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch, n_landmarks: int, kept: list[str] | None
@@ -287,16 +306,17 @@ def test_assignments_of_limbs_that_cost_much_more_are_refined_with_landmarks_onl
         if stiff_fits is None:
             return [beside], [beside]
         refined.append(str(clusters))
-        return [stiff_fits.placements[1]], []
+        return [stiff_fits[0][1]], []
 
     def fit_both_starts(problem: Problem, clusters: str) -> StartFits:
-        return StartFits([Placement(positions, 9.0), Placement(positions, costs[clusters])], positions)
+        return [Placement(positions, 9.0), Placement(positions, costs[clusters])], positions
 
     small_fits = [(name, Placement(positions, 5.0, penalty=1.2 if "penalty" in name else 1.0)) for name in costs]
     monkeypatch.setattr(Problem, "clusters_with", lambda problem, tips="": NamedClusters(tips))
     monkeypatch.setattr(search, "fit_from_two_starts", fit_from_two_starts)
     monkeypatch.setattr(search, "fit_both_starts", fit_both_starts)
     monkeypatch.setattr(search, "fit_small_graph", lambda *given: (small_fits, []))
+    monkeypatch.setattr(search, "fit_without_tips", lambda *given: [])
     monkeypatch.setattr(search, "spectral_starts", lambda problem, clusters: lambda placed: [])
     monkeypatch.setattr(search, "refine_cheapest", lambda problem, coarse, fine: fine)
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)

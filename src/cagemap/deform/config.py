@@ -123,7 +123,7 @@ class SearchConfig(Config):
     fewest_points: int = 4  #: limbs and landmarks that an assignment needs
     fewest_of_part: int = 3  #: the same for a part, whose other limbs may be cut off
     max_limbs: int = 7  #: most limbs that are assigned; the most prominent ones
-    max_assignments: int = 10  #: assignments that are fitted
+    max_assignments: int = 10  #: assignments that get a start; the half with the cheaper starts is fitted
     girth_weight: float = 0.5  #: weight of log ratios of girths, against those of lengths
     girth_part: float = 0.7  #: share of a limb's length, from its tip, over which its girth is measured
     tip_height: float = 0.01  #: least height of a tip over its pass; ears have 0.01 to 0.05, feet 0.1 to 0.3

@@ -64,8 +64,9 @@ def target_to_source(
     needed without source-to-target terms, where a target could move off the source.
     """
     source, corners = nearest.surface, nearest.corners
-    closest = curved_points(source.positions[corners], source.vertex_normals[corners], nearest.barycentric)
-    plane = normalize_rows(nearest.interpolate(source.vertex_normals))
+    corner_normals = source.vertex_normals[corners]
+    closest = curved_points(source.positions[corners], corner_normals, nearest.barycentric)
+    plane = normalize_rows(np.einsum("mk,mkd->md", nearest.barycentric, corner_normals))
     weights = areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
     weights *= masks.of_target(len(areas)) * masks.at_source(nearest)
     if not beyond:

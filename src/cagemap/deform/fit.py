@@ -99,8 +99,12 @@ def coarse_fit(
     if start.shape != expected:
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
     terms = cluster_terms(prepared, clusters, samples)
-    positions = minimise(graph, energy.differentials, terms, start, clusters.stage)
-    maps, _ = energy.differentials(positions)
+    return evaluate_clusters(prepared, clusters, minimise(graph, energy.differentials, terms, start, clusters.stage))
+
+
+def evaluate_clusters(prepared: PreparedPair, clusters: Clusters, positions: FloatArray) -> Placement:
+    """Placement of clusters with its costs: `vertex_costs`."""
+    graph, (maps, _) = clusters.energy.graph, clusters.energy.differentials(positions)
     costs = vertex_costs(prepared, graph, clusters.masks, positions, maps, clusters.stage.smoothing)
     return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
 

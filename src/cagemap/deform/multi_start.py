@@ -7,7 +7,6 @@ the coarse graph, but does on the mesh (docs/lab/fit_experiments.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +31,8 @@ from cagemap.spectral.zoomout import (
 
 # Landmarks from which on they give a start of their own; fewer only restrict the search.
 FEWEST_LANDMARKS = 3
-
-
-class StartFits(NamedTuple):
-    """Coarse fits from two starts, ZoomOut and the constrained points alone; and ZoomOut's start, for other stages."""
-
-    placements: list[Placement]
-    start: FloatArray  # (k, 3)
+# Coarse fits from two starts, ZoomOut and the constrained points alone; and ZoomOut's start (k, 3), for other stages.
+StartFits = tuple[list[Placement], FloatArray]
 
 
 def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
@@ -53,15 +47,15 @@ def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
 
     def sampled(side: int, chosen: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Basis rows and landmark coordinates of chosen vertices."""
-        surface, level = (prepared.target, prepared.source)[side], levels[side]
-        operators = surface.operators
-        coordinates = landmark_coordinates(
-            operators.stiffness[level], operators.mass[level], constrained[side], of_curves[side]
-        )
-        return surface.basis_rows(chosen, level), coordinates[chosen]
+        surface, level, known = (prepared.target, prepared.source)[side], levels[side], problem.known_coordinates
+        key, matrices = (side, constrained[side].tobytes()), surface.operators
+        if key not in known:
+            known[key] = landmark_coordinates(
+                matrices.stiffness[level], matrices.mass[level], constrained[side], of_curves[side]
+            )
+        return surface.basis_rows(chosen, level), known[key][chosen]
 
-    sides = in_threads(lambda side: sampled(*side), ((0, vertices), (1, candidates)))
-    (target, on_target), (source, on_source) = sides
+    (target, on_target), (source, on_source) = in_threads(lambda side: sampled(*side), ((0, vertices), (1, candidates)))
     coordinates = on_target, on_source
     match = nearest_rows(*(values.astype(np.float32) for values in coordinates))
     match = zoomout(target, areas, source, match, prepared.start.zoomout, coordinates)
@@ -139,7 +133,7 @@ def fit_from_two_starts(
     distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
     if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
         return fine, []
-    return fine, fit_both_starts(problem, clusters, first).placements
+    return fine, fit_both_starts(problem, clusters, first)[0]
 
 
 def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> StartFits:
@@ -147,7 +141,7 @@ def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | No
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
         from_points = pool.submit(lambda: coarse_fit(problem, landmark_start(problem, clusters), clusters))
         start = zoomout_start(problem, clusters) if start is None else start
-        return StartFits([coarse_fit(problem, start, clusters), from_points.result()], start)
+        return [coarse_fit(problem, start, clusters), from_points.result()], start
 
 
 def refine_cheapest(

@@ -87,10 +87,9 @@ def closest_points(
     queries = read_only(np.ascontiguousarray(points, dtype=np.float64))
     given = np.zeros(queries.shape) if normals is None else normals
     directions = read_only(np.ascontiguousarray(given, dtype=np.float64))
-    start = np.full(len(queries), -1, dtype=np.int64)
-    if guess is not None:
-        start = np.where(guess >= 0, tree.places[guess], -1)
-    sequence = np.argsort(_morton_codes(queries), kind="stable")
+    start = np.full(len(queries), -1, dtype=np.int64) if guess is None else np.where(guess >= 0, tree.places[guess], -1)
+    # Near queries follow each other: one without a guess starts from the result of the query before it.
+    sequence = np.argsort(_morton_codes(queries) if guess is None else start, kind="stable")
     nearest = np.full(len(queries), -1, dtype=np.int64)
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
     limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, else the kernel is compiled twice

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import chain, count
 
-from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
+from cagemap.deform.fit import coarse_fit, evaluate_clusters, evaluate_placement, fine_fit
 from cagemap.deform.multi_start import (
     FEWEST_LANDMARKS,
     StartFits,
@@ -70,36 +70,34 @@ def fit_small_graph(
     prepared, small = problem.prepared, problem.small_clusters
     config, graph, usual = prepared.elastic.search, small.energy.graph, usual_rotations(prepared)
 
-    def fit_start(start: FloatArray, clusters: Clusters) -> Placement:
+    def fit_start(start: Placement, clusters: Clusters = small) -> Placement:
         with thread_limit(1):  # one thread for each start: its steps are too short to be split
-            placed = coarse_fit(problem, start, clusters)
+            placed = coarse_fit(problem, start.positions, clusters)
         rotation = axis_rotation(clusters.energy.graph.areas, placed.maps)
         penalty = rotation_penalty(rotation, prepared) if with_rotations else 1.0
         return replace(placed, name=rotation_name(rotation, usual), penalty=penalty)
 
-    def fit_rigid_starts(starts: Sequence[Placement]) -> list[Placement]:
-        return in_threads(lambda start: fit_start(start.positions, small), starts)
-
-    def fit_limbs(tips: Tips) -> tuple[Tips, Placement]:
+    def start_of_limbs(tips: Tips) -> tuple[Tips, Clusters, Placement]:
         clusters = problem.clusters_with(tips, config.small_graph_stage, config.small_graph_vertices)
-        return tips, fit_start(zoomout_start(problem, clusters), clusters)
+        return tips, clusters, evaluate_clusters(prepared, clusters, zoomout_start(problem, clusters))
 
     unmoved = unmoved_start(prepared, graph.positions)
     starts = [*unmoved, *rigid_starts(graph.positions, graph.areas, prepared.source_surface, usual)]
     first = starts[: len(unmoved) + STARTS_PER_ROTATION * len(usual)]
     unrotated = distinct_placements(first, graph.areas, config.min_start_distance)
-    rigid_fits = rank_placements(fit_rigid_starts(unrotated))
+    rigid_fits = rank_placements(in_threads(fit_start, unrotated))
     show(rigid_fits[0])
-    limb_fits = sorted(in_threads(fit_limbs, assigned_limbs(problem)), key=lambda fit: fit[1].penalised_cost)
-    limb_fits = limb_fits[: config.max_assigned]
+    likely = sorted(in_threads(start_of_limbs, assigned_limbs(problem)), key=lambda start: start[2].cost)
+    likely = likely[: config.max_assignments // 2]
+    limb_fits = in_threads(lambda start: (start[0], fit_start(start[2], start[1])), likely)
+    limb_fits = sorted(limb_fits, key=lambda fit: fit[1].penalised_cost)[: config.max_assigned]
     # A part has a low cost in many places: only the fit of the whole is conclusive.
-    least_cost = rigid_fits[0].penalised_cost
-    if limb_fits and not unmoved and limb_fits[0][1].penalised_cost > config.max_cost * least_cost:
+    if limb_fits and not unmoved and limb_fits[0][1].penalised_cost > config.max_cost * rigid_fits[0].penalised_cost:
         limb_fits = []
     if with_rotations and not limb_fits:
         # Of similar starts the first is kept: the distinct unrotated ones come first.
         rotated = distinct_placements(starts, graph.areas, config.min_start_distance)[len(unrotated) :]
-        rigid_fits = rank_placements([*rigid_fits, *fit_rigid_starts(rotated)])
+        rigid_fits = rank_placements([*rigid_fits, *in_threads(fit_start, rotated)])
     show(rank_placements([*(placed for _, placed in limb_fits), *rigid_fits])[0])
     as_filed = [placed for placed in rigid_fits if placed.penalty <= 1.0][:1]
     if not limb_fits:
@@ -112,8 +110,6 @@ def fit_small_graph(
 
 def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[Placement]:
     """Fine placements from fits of the small graph and their spectral starts: the best of each, if they differ."""
-    if not small_fits:
-        return []
     graph, starts = problem.coarse_clusters.energy.graph, spectral_starts(problem, problem.coarse_clusters)
     config = problem.prepared.elastic.search
 
