@@ -157,3 +157,8 @@ def test_help_loads_no_library(word: str) -> None:
 def test_commands_load_no_pydantic_before_they_run() -> None:
     script = "import sys, cagemap.cli.app\nassert not {'pydantic', 'numpy', 'rich'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_a_match_loads_no_library_of_images_and_no_jobs() -> None:
+    script = "import sys, cagemap.tasks.match\nassert not {'OpenImageIO', 'cagemap.jobs'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", script], check=True)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from examples.shapes import voxels
 from pydantic import TypeAdapter
+from typer.main import get_command
 
 from cagemap import tasks
 from cagemap.cli.app import app
@@ -78,7 +79,7 @@ def test_a_task_returns_the_numbers_of_its_summary(box: Path) -> None:
 
 
 def test_every_command_of_the_command_line_but_the_studio_has_a_request() -> None:
-    assert len(tasks._TASKS) == len(app.registered_commands) - 1
+    assert len(tasks._TASKS) == len(get_command(app).commands) - 1  # type: ignore[attr-defined]
     for name in tasks._TASKS:
         assert callable(tasks.runner_of(object.__new__(getattr(tasks, name))))
 

@@ -1,12 +1,14 @@
-"""The typer application with all commands. It imports their requests; a task is imported when its command runs."""
+"""The typer application. A command is made when it is asked for; its task is imported when it runs."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from cagemap import __version__
 from cagemap.cli.console import say, set_verbosity, warn
@@ -19,8 +21,33 @@ from cagemap.tasks.requests.studio import StudioRequest
 # In the order of `--help`; the request of "demo" is `DemoRequest`.
 _COMMANDS = "demo check refine match transfer rig face report suggest run studio functions wrap map".split()
 
+_LOOK: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}
+
+
+class _Commands(Mapping[str, Any]):
+    """Commands by name; each is made at first use, since to make all takes 0.05 s."""
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in _COMMANDS:
+            raise KeyError(name)
+        return _command(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_COMMANDS)
+
+    def __len__(self) -> int:
+        return len(_COMMANDS)
+
+
+class _Group(TyperGroup):
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands: Any = _Commands()
+
+
 app = typer.Typer(
     name="cagemap",
+    cls=_Group,
     help=(
         "Dense maps between subdivision surfaces, from their control meshes and a few landmarks, "
         "and transfer along them.\n\n"
@@ -28,10 +55,9 @@ app = typer.Typer(
         "source, `cagemap transfer` transfers values along this map. Try `cagemap demo` first."
     ),
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
+    **_LOOK,
 )
 
 
@@ -88,6 +114,10 @@ def _run(request: Any) -> None:
         say(summary)
 
 
-for _name in _COMMANDS:
-    _kind = StudioRequest if _name == "studio" else request_class(f"{_name.capitalize()}Request")
-    app.command(_name, cls=command_class(moved_options(_kind)))(command_of(_kind, _run))
+@cache
+def _command(name: str) -> Any:
+    """A command by its name."""
+    kind = StudioRequest if name == "studio" else request_class(f"{name.capitalize()}Request")
+    alone = typer.Typer(**_LOOK)
+    alone.command(name, cls=command_class(moved_options(kind)))(command_of(kind, _run))
+    return typer.main.get_command(alone)

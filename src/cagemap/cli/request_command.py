@@ -55,8 +55,8 @@ _SECTIONS = ("Arguments", *HEADINGS, "Options")
 # Names of values in `--help`, by their type.
 _METAVARS = {Path: "FILE", int: "NUMBER", float: "NUMBER", str: "TEXT"}
 
-# Modules that SciPy and readers import, and few commands use.
-LAZY_MODULES = ("numpy.f2py", "numpy.testing")
+# Modules that SciPy, Numba and readers import, and few commands use.
+LAZY_MODULES = ("numpy.f2py", "numpy.testing", "yaml")
 
 
 def command_of(kind: type[Request], run: Callable[[Request], None]) -> Callable[..., None]:
@@ -108,7 +108,8 @@ def load_lazily(names: Sequence[str]) -> None:
         sys.modules[name] = module
         spec.loader.exec_module(module)
         package, _, attribute = name.rpartition(".")
-        setattr(sys.modules[package], attribute, module)
+        if package:
+            setattr(sys.modules[package], attribute, module)
 
 
 def typer_parameter(field: str, option: Option, word_type: Any, default: Any) -> Any:

@@ -8,3 +8,5 @@ VALUE_SUFFIXES = (".npy", ".npz", ".csv", ".json")
 # Suffixes of mask files, and the prefix of a mask's name that inverts it.
 MASK_SUFFIXES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
 INVERT_PREFIX = "not:"
+# Option of an output that names a USD layer; several outputs of a pair may add to one layer.
+LAYER_OPTION = "usd"

@@ -13,8 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 ALL_ASSETS = "all"
 # Options of a pair whose map is given, as of `cagemap map`; the job's other options are of its matches alone.
 MAP_OPTIONS = ("level", "weld", "target_weld", "source_weld", "target_mask", "source_mask", "mask_edge")
-# Option of an output that names a USD layer; several outputs of a pair may add to one layer.
-LAYER_OPTION = "usd"
 PLACEHOLDER = re.compile(r"\{(source|target)(?:\.([A-Za-z0-9_-]+))?\}")
 Scheme = Literal["catmull-clark", "loop", "bilinear", "none"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=80)]

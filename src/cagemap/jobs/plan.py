@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import FormatError
-from cagemap.files import INVERT_PREFIX
+from cagemap.files import INVERT_PREFIX, LAYER_OPTION
 from cagemap.files.images.image import texture_files
 from cagemap.files.meshes.formats import referred_files
 from cagemap.files.result.folder import ARRAYS
 from cagemap.files.result.manifest import file_hash
 from cagemap.jobs.job import Job
 from cagemap.jobs.job_checks import resolve_files
-from cagemap.jobs.job_schema import LAYER_OPTION, MAP_OPTIONS, Asset, OutputRule, asset_names, fill_placeholders
+from cagemap.jobs.job_schema import MAP_OPTIONS, Asset, OutputRule, asset_names, fill_placeholders
 
 # Folder inside the output folder with prepared surfaces, notes of finished tasks and locks.
 STATE_FOLDER = ".cagemap"

@@ -12,8 +12,8 @@ from typing import Any
 
 from cagemap.errors import MissingLibraryError
 
-# New objects between garbage collections: loading makes many objects that stay.
-GC_THRESHOLD = 100_000
+# New objects between garbage collections: a command makes 300 000 that stay while it loads.
+GC_THRESHOLD = 1_000_000
 # Seconds that a thread returning from a kernel waits at most for one that runs Python; Python's default is 0.005.
 SWITCH_INTERVAL = 0.0005
 # Parameters of glibc's malloc (mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD, M_MMAP_THRESHOLD (at most 32 MB).

@@ -12,11 +12,10 @@ from typing import Any
 import tomli_w
 
 from cagemap.errors import FormatError
-from cagemap.files import INVERT_PREFIX
+from cagemap.files import INVERT_PREFIX, LAYER_OPTION
 from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.ownership import is_own, mark
 from cagemap.files.result.manifest import stated, stated_path
-from cagemap.jobs.job_schema import LAYER_OPTION
 from cagemap.tasks.masks import mask_file
 from cagemap.tasks.requests.catalogue import WRITTEN
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
@@ -41,7 +40,6 @@ _FORMATS: dict[str, tuple[str, ...]] = {
     ".tiff": ("uint8", "uint16", "float32"),
     ".exr": ("float16", "float32"),
 }
-_OIIO = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float16": oiio.HALF, "float32": oiio.FLOAT}
 _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 _LARGEST_CHANNELS = 4
 # Number types by OpenImageIO's names.
@@ -139,6 +137,8 @@ def _read(file: Path) -> Image:
 
 def _open(file: Path) -> tuple[Any, str]:
     """The reader of an image with a checked header, and the number type of its pixels."""
+    import OpenImageIO as oiio  # here, since a match reads no image
+
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)
     require_file(file, "an image")
@@ -186,12 +186,14 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     FormatError
         If the format is unknown, does not hold the pixels' type exactly, or the file cannot be written.
     """
+    import OpenImageIO as oiio  # here, since a match writes no image
+
     file = Path(path)
     given = image if isinstance(image, Image) else Image(array_of(image), ())
     pixels = given.pixels[:, :, None] if given.pixels.ndim == 2 else given.pixels
     check_writable(file, pixels.dtype, pixels.shape[2] if pixels.ndim == 3 else 0)
     height, width, channels = pixels.shape
-    spec = oiio.ImageSpec(width, height, channels, _OIIO[str(pixels.dtype)])
+    spec = oiio.ImageSpec(width, height, channels, _READ_AS[str(pixels.dtype)])
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
     spec.alpha_channel = channels - 1 if channels in (2, 4) else -1  # OpenImageIO sets it for four channels alone
     if file.suffix.lower() not in _ASSOCIATED_SUFFIXES:

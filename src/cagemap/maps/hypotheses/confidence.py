@@ -288,12 +288,13 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None =
     pairs = image_pairs(images.positions / ratio, images.normals)
     pairs = pairs[(masks.of_target(found.target.n)[prepared.vertices] > 0)[pairs].all(axis=1)]
     on_target = distances_apart(target.station_distances, pairs)
-    pairs, on_target = pairs[on_target > JUMP], on_target[on_target > JUMP]  # few are left, of most maps none
+    pairs, on_target, farthest = pairs[on_target > JUMP], on_target[on_target > JUMP], np.zeros(target.n)
+    if not len(pairs):  # as of most maps
+        return farthest
     ends, rows = np.unique(pairs, return_inverse=True)
     tree = cKDTree(np.hstack([source.positions, NORMAL_WEIGHT * source.normals]))
     at = tree.query(np.hstack([images.positions, NORMAL_WEIGHT * images.normals])[ends])[1]
     beyond = on_target - 2 / ratio * distances_apart(source.station_distances[:, at], rows.reshape(-1, 2))
-    farthest = np.zeros(target.n)
     np.maximum.at(farthest, pairs, np.where(beyond > JUMP, beyond, 0.0)[:, None])
     return farthest
 
