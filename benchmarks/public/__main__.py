@@ -128,8 +128,8 @@ def markdown(rows: list[dict], failed: list[str]) -> str:
         "and was trained on nothing.",
         "",
         "| set | landmarks | scheme | pairs | mean | median pair | worst pair | above 5 | of largest | folds % | "
-        "left out | s | peak MB | published |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "left out | processor s | wall s | peak MB | published |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     order = ("set", "landmarks", "scheme", "vertices", "points")
     for key, group in groupby(
@@ -140,8 +140,9 @@ def markdown(rows: list[dict], failed: list[str]) -> str:
         others = [np.mean([row[name] for row in some]) for name in ("of_largest", "flipped", "left_out", "seconds")]
         mine = [f"{value:.2f}" for value in (means.mean(), np.median(means))]
         cells = [SETS[key[0]].about, key[1], key[2], len(some), *mine, f"{means.max():.1f}", int((means > 5).sum())]
-        peaks = [row["peak_mb"] for row in some if "peak_mb" in row]
-        cells += [*(f"{value:.2f}" for value in others), f"{max(peaks):.0f}" if peaks else "-"]
+        walls, peaks = ([row[name] for row in some if name in row] for name in ("wall_seconds", "peak_mb"))
+        cells += [f"{value:.2f}" for value in others]
+        cells += [f"{np.mean(walls):.2f}" if walls else "-", f"{max(peaks):.0f}" if peaks else "-"]
         lines.append("| " + " | ".join(map(str, [*cells, SETS[key[0]].published])) + " |")
     judged = [row | {"error": row["mean"]} for row in rows if "said" in row]
     names = {f"{row['set']}, {row['landmarks']} landmarks, {row['scheme']}" for row in judged}
