@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -354,7 +355,7 @@ def test_a_file_that_cannot_be_used_is_refused(name: str, tmp_path: Path) -> Non
 
 def test_a_format_that_the_library_lacks_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     without = SimpleNamespace(**{**vars(oiio), "ImageOutput": SimpleNamespace(create=lambda path: None)})
-    monkeypatch.setattr("cagemap.files.images.image.oiio", without)
+    monkeypatch.setitem(sys.modules, "OpenImageIO", without)
     image = np.zeros((4, 4, 3), np.uint8)
     Refusal(
         lambda place: write_image(place / "a.png", image),
