@@ -12,7 +12,7 @@ from typing import Any
 
 from cagemap.errors import MissingLibraryError
 
-# New objects between garbage collections: a command makes 300 000 that stay while it loads.
+# New objects between garbage collections: a command makes 240 000 that stay while it loads.
 GC_THRESHOLD = 1_000_000
 # Seconds that a thread returning from a kernel waits at most for one that runs Python; Python's default is 0.005.
 SWITCH_INTERVAL = 0.0005
