@@ -47,13 +47,12 @@ def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
 
     def sampled(side: int, chosen: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Basis rows and landmark coordinates of chosen vertices."""
-        surface, level, known = (prepared.target, prepared.source)[side], levels[side], problem.known_coordinates
-        key, matrices = (side, constrained[side].tobytes()), surface.operators
-        if key not in known:
-            known[key] = landmark_coordinates(
-                matrices.stiffness[level], matrices.mass[level], constrained[side], of_curves[side]
-            )
-        return surface.basis_rows(chosen, level), known[key][chosen]
+        surface, level = (prepared.target, prepared.source)[side], levels[side]
+        operators = surface.operators
+        coordinates = landmark_coordinates(
+            operators.stiffness[level], operators.mass[level], constrained[side], of_curves[side]
+        )
+        return surface.basis_rows(chosen, level), coordinates[chosen]
 
     (target, on_target), (source, on_source) = in_threads(lambda side: sampled(*side), ((0, vertices), (1, candidates)))
     coordinates = on_target, on_source

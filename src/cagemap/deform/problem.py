@@ -230,11 +230,6 @@ class Problem:
         return Clusters(energy, masks, chosen, constraints, (on_target, on_source), stage)
 
     @kept
-    def known_coordinates(self) -> dict[tuple[int, bytes], FloatArray]:
-        """Landmark coordinates that were computed, by side (0, 1) and constrained vertices."""
-        return {}
-
-    @kept
     def landmark_distances(self) -> tuple[FloatArray, FloatArray]:
         """Geodesic distances (p, m) on both surfaces, from landmarks to vertices of a coarse graph, landmarks first."""
         config = self.prepared.elastic
