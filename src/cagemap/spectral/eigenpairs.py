@@ -85,13 +85,20 @@ def residual_norms(
 
 
 def band_pairs(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, first: int, last: int, *, accuracy: float = 1e-9
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    first: int,
+    last: int,
+    *,
+    accuracy: float = 1e-9,
+    like: Factorization | None = None,
 ) -> EigenPairs:
     """Eigenpairs first..last-1 of W (n, n) and M, complete for any multiplicity.
 
     Small problems are solved densely, others by block shift-invert Lanczos around a shift sigma inside the band. The
     inertia of W - sigma M gives the pairs' indices, that of W - tau M, with tau in gaps at both ends of the band,
-    proves that none was missed. ``accuracy`` is relative to each eigenvalue of the inverted operator. ParameterError if
+    proves that none was missed. ``accuracy`` is relative to each eigenvalue of the inverted operator; the ordering of
+    ``like``, factors of a matrix with the pattern of W - sigma M, is reused. ParameterError if
     the range is empty or not within the spectrum; SolverError if the iteration does not converge or misses eigenvalues.
     """
     n = stiffness.shape[0]
@@ -110,7 +117,7 @@ def band_pairs(
         return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
     # Factors in double precision: with slivers, single precision lost all digits (docs/lab/performance.md).
     low, high = max(0, first - SOLVER.extra_pairs), min(n, last + SOLVER.extra_pairs)
-    shifted, sigma = _shift_inside(stiffness, mass, low, high)
+    shifted, sigma = _shift_inside(stiffness, mass, low, high, like)
     below = shifted.negative_eigenvalues
     if below is None:
         low, below = 0, 0  # the shift is then below the spectrum
@@ -153,7 +160,7 @@ def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, F
 
 
 def _shift_inside(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int
+    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, like: Factorization | None
 ) -> tuple[Factorization, float]:
     """Factor W - shift M, with a shift inside low..high, or below the spectrum without inertia."""
     # Weyl's law for a surface: lambda_j is about 4 pi j / area.
@@ -163,7 +170,7 @@ def _shift_inside(
     unknown = 0
     for _ in range(8):
         try:
-            shifted = factor(shifted_matrix(stiffness, mass, shift))
+            shifted = factor(shifted_matrix(stiffness, mass, shift), like=like)
         except SolverError:  # exactly on an eigenvalue
             shift *= 1.0 + 1e-4
             continue
@@ -235,7 +242,7 @@ def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: f
 def orthonormal_block(
     block: FloatArray, mass: sparse.csr_array, rng: np.random.Generator, against: Block, mass_against: Block
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """M-orthonormalise a block that is M-orthogonal to ``against``, by Cholesky QR, repeated if needed.
+    """M-orthonormalise a block that is M-orthogonal to ``against``, in place, by Cholesky QR, repeated if needed.
 
     Lost directions (when the Krylov space became invariant) are replaced by random ones, with a zero row in R.
     Returns the new block (n, b), M times it, and R (b, b) with old block = new block @ R.
@@ -249,7 +256,8 @@ def orthonormal_block(
         weak = values <= SOLVER.dependent * max(values[-1], np.finfo(float).tiny)
         roots = np.sqrt(np.where(weak, 1.0, values))
         total = (np.where(weak, 0.0, roots)[:, None] * vectors.T) @ total
-        block, mass_block = (combined(part, vectors / roots) for part in (block, mass_block))
+        for part in (block, mass_block):
+            combined(part, vectors / roots, out=part)
         if weak.any():
             fresh = rng.standard_normal((len(block), int(weak.sum())))
             for _ in range(2):

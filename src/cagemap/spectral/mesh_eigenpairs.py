@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.numerics.arrays import FloatArray, members_of, offsets_of
-from cagemap.numerics.factorization import factor, multiply
+from cagemap.numerics.factorization import Factorization, factor, multiply
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
@@ -97,11 +98,12 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
 def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float, area: float) -> EigenPairs:
     """Lowest pairs of a mesh or a part of it; ``area`` is that of the whole mesh."""
     mass = sparse.csr_array(sparse.diags_array(areas))
-    # Lanczos may be in single precision; the inverse iterations below remove its rounding error.
-    initial = band_pairs(weights, mass, 0, k, accuracy=max(min(accuracy, SOLVER.single_accuracy), 1e-10))
-    values, vectors = np.array(initial.values), np.array(initial.vectors, dtype=np.float64, order="C")
     shift = -4.0 * np.pi / float(areas.sum())
-    shifted = None
+    shifted = factor(shifted_matrix(weights, mass, shift))
+    # Lanczos may be in single precision; the inverse iterations below remove its rounding error.
+    krylov_accuracy = max(min(accuracy, SOLVER.single_accuracy), 1e-10)
+    initial = band_pairs(weights, mass, 0, k, accuracy=krylov_accuracy, like=shifted)
+    values, vectors = np.array(initial.values), np.array(initial.vectors, dtype=np.float64, order="C")
     parts = row_slices(k, COLUMN_BLOCK)
     for iteration in range(MAX_INVERSE_ITERATIONS + 1):
         worst = np.inf
@@ -118,14 +120,20 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
             return EigenPairs(values, vectors, 0)
         if iteration == MAX_INVERSE_ITERATIONS:
             break
-        shifted = factor(shifted_matrix(weights, mass, shift)) if shifted is None else shifted
+        improve = partial(_improve, shifted, areas, values - shift, vectors)
         for part in parts:
-            vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
+            middle = (part.start + part.stop + 1) // 2
+            in_threads(improve, (slice(part.start, middle), slice(middle, part.stop)))
         _orthonormalise(vectors, areas)
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; remove triangles of almost no area, "
         "or ask `cagemap.eigenpairs` for a lower accuracy, at most 0.01"
     )
+
+
+def _improve(shifted: Factorization, areas: FloatArray, factors: FloatArray, vectors: FloatArray, part: slice) -> None:
+    """One inverse iteration of some columns of vectors (n, k), in place."""
+    vectors[:, part] = factors[part] * shifted.solve(areas[:, None] * vectors[:, part])
 
 
 def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:

@@ -59,7 +59,6 @@ from cagemap.tasks.rig_materials import (
 _log = logging.getLogger(__name__)
 
 
-
 def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     """Carry a whole character to another body and write one file; returns a summary and warnings."""
     _require_paths(request)
