@@ -99,21 +99,6 @@ def test_detail_of_three_texels_comes_through_a_shift() -> None:
     assert off[1] < off[0] / 3  # 0.012 and 0.042
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "float16", "float32"])
-@pytest.mark.parametrize("size", [90, 300, 23])  # alike, enlarged, minified
-def test_colours_under_alpha_0_do_not_show_at_holes(dtype: str, size: int) -> None:
-    level = plane(8, 8)
-    transfer = prepare_transfer(level, level, plane_map(level, 8, 8, lambda p: p * 0.61 + 0.2))
-    one = 255 if dtype == "uint8" else 1
-    texture = np.zeros((128, 128, 4), dtype=dtype)
-    rows, columns = np.mgrid[:128, :128] // 16 % 2
-    texture[rows == columns] = one
-    for kind in ("smooth", "linear"):
-        baked = bake_texture(transfer, texture, size=size, options=BakeOptions(filter=kind)).astype(float) / one
-        assert baked[baked[..., 3] > 0.01, :3].min() > 0.99
-        assert (baked[..., 3] > 0.01).mean() < 0.9
-
-
 @pytest.mark.parametrize(("dtype", "bright"), [("uint8", np.s_[30:]), ("float32", np.s_[:30])])
 def test_hard_edges_get_no_rings_and_alpha_stays_linear(dtype: str, bright: slice) -> None:
     level = plane(8, 8)

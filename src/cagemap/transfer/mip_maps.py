@@ -18,7 +18,7 @@ from scipy import sparse
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.texture import Filter, Pixels, SmoothTile, Texture, channel_range, has_alpha, look_up
+from cagemap.transfer.texture import Filter, Pixels, SmoothTile, Texture, channel_range, look_up
 
 _LOBES = 3
 # Least share of the kernel on covered texels; below it means replace it: negative lobes would amplify.
@@ -123,23 +123,18 @@ def _filter(
         if not numbers.all():
             known = np.asarray(numbers.all(axis=2))
             values_in, weight = np.where(known[..., None], values_in, 0), np.where(known, weight, 0)
-        weights, of_channel = weight[..., None], np.zeros(pixels.shape[2], dtype=np.int64)
-        if has_alpha(pixels) and (values_in[..., -1] <= 0).any():  # colours there matter only without visible ones
-            visible = np.maximum(values_in[..., -1:] > 0, np.float32(_UNCOVERED_WEIGHT))
-            weights, of_channel[-1] = np.dstack([weights * visible, weights]), 1
-        table = np.dstack([values_in * weights[..., of_channel], weights])
+        table = np.dstack([values_in * weight[..., None], weight])
         sharp, mean = (
-            np.split(_apply_separably(table, vertical[:, first:last], horizontal), [pixels.shape[2]], axis=2)
+            _apply_separably(table, vertical[:, first:last], horizontal)
             for vertical, horizontal in zip(row_matrices, across, strict=True)
         )
-        chosen = sharp[1][..., :1] >= _MIN_KERNEL_SHARE
-        shares = np.where(chosen, sharp[1], mean[1])
+        values = np.where((sharp[..., -1] >= _MIN_KERNEL_SHARE)[..., None], sharp, mean)
         with np.errstate(invalid="ignore"):
-            filtered = np.where(chosen, sharp[0], mean[0]) / shares[..., of_channel]
+            filtered = values[..., :-1] / values[..., -1:]
         if ends is not None:
             filtered = np.clip(filtered, *ends)
         result[rows] = np.rint(filtered) if result.dtype.kind == "u" else filtered
-        covered[rows] = mean[1][..., -1]
+        covered[rows] = mean[..., -1]
 
     in_threads(fill, row_slices(len(result), _MIP_ROWS))
     return result, covered

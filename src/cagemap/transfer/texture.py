@@ -4,8 +4,7 @@ Textures that are not minified are interpolated by the six-point cubic of Keys, 
 digital image processing* (1981, eq. 24). It interpolates the texels and reproduces cubics. Its loss of detail three
 texels wide is a twelfth of a bilinear lookup's. Values are limited to the range of the two texels around a point,
 except at local peaks, and to the range of the image: hard edges do not ring. The lookup is bilinear for alpha, and at
-borders of islands and of transparent areas, where some of the six texels are not covered. Colours under alpha 0 do not
-mix with others.
+borders of islands, where some of the six texels are not covered.
 """
 
 from __future__ import annotations
@@ -49,11 +48,6 @@ def channel_range(pixels: Pixels) -> tuple[Pixels, Pixels]:
     return np.fmin.reduce(np.fmin.reduce(pixels)), np.fmax.reduce(np.fmax.reduce(pixels))
 
 
-def has_alpha(pixels: Pixels) -> bool:
-    """Whether the last of an image's channels is alpha."""
-    return pixels.shape[2] in (2, 4)
-
-
 @dataclass(frozen=True, eq=False)
 class SmoothTile:
     """Cells of a tile that are looked up smoothly, and the range of its channels."""
@@ -71,10 +65,7 @@ class SmoothTile:
         """
         if pixels.dtype.kind == "f" and not (numbers := np.isfinite(pixels)).all():
             covered = covered & numbers.all(axis=2)
-        visible = pixels[..., -1] > 0 if has_alpha(pixels) else covered
-        cells = smooth_cells(covered & visible)
-        if not visible.all() and has_alpha(pixels):
-            cells |= smooth_cells(covered & ~visible)
+        cells = smooth_cells(covered)
         _leave_even(pixels.view(np.uint16) if pixels.dtype == np.float16 else pixels, cells)
         return cls(cells, *(end.astype(np.float64) for end in channel_range(pixels)))
 
@@ -112,8 +103,6 @@ Filter = Literal["smooth", "linear", "nearest"]
 OVERHANG = 1.0 / 8192.0
 # Up to this many samples a texel spans less than two texels of the texture and is interpolated smoothly.
 _MAX_SMOOTH_SAMPLES = 4
-# Least weight of a texel that counts.
-_ROUNDING = 1e-6
 # Largest overshoot of a peak between two texels, as a share of their drop to the outer neighbours (parabola: 1/8).
 _PEAK = 0.25
 # Value of every half float by its bits: Numba has no half floats, and a converted copy of a large texture takes
@@ -218,11 +207,11 @@ def look_up(
     Cells ``smooth``, by tile, are looked up smoothly, others bilinearly. ``nearest`` takes the texel that contains the
     point, for labels.
     """
-    result, seen = np.zeros((len(samples.first) - 1, texture.channels)), np.zeros(len(samples.first) - 1, np.int64)
+    result = np.zeros((len(samples.first) - 1, texture.channels))
     # A band of texels uses few tiles of a large set: the others are skipped.
     used = np.zeros(len(texture.triangle_tiles), dtype=bool)
     used[samples.triangle] = True
-    colors = texture.channels - has_alpha(next(iter(texture.tiles.values())))
+    colors = texture.channels - (texture.channels in (2, 4))
     for tile in np.unique(texture.triangle_tiles[used]).tolist():
         pixels = texture.tiles[tile]
         u, v = udim_origin(tile)
@@ -234,19 +223,15 @@ def look_up(
             (colors, nearest, texture.repeat, tile, u, v),
             (texture.uvs, texture.uv_triangles, texture.triangle_tiles),
             (samples.first, samples.triangle, samples.barycentric),
-            (result, seen),
+            result,
         )
-    counts = np.diff(samples.first)
-    result[:, colors:] /= counts[:, None]
-    result[:, :colors] /= np.where(seen > 0, seen, counts)[:, None]
+    result /= np.diff(samples.first)[:, None]
     return result
 
 
 @numba.njit(cache=True, nogil=True)
-def _accumulate(image, fine, options, layout, points, sums):  # type: ignore[no-untyped-def]
-    """Add the lookups of samples in one tile to their texels, and count those whose alpha is not 0.
-
-    Colours under alpha 0 are left out where there are others, of a sample's texels and of a texel's samples.
+def _accumulate(image, fine, options, layout, points, result):  # type: ignore[no-untyped-def]
+    """Add the lookups of samples in one tile to their texels.
 
     Bilinear interpolation is written a + f (b - a), which leaves a constant texture constant to the last bit. A point
     outside wraps around if ``repeat``, but the texels around a point do not: an island at the image's edge must not mix
@@ -254,7 +239,7 @@ def _accumulate(image, fine, options, layout, points, sums):  # type: ignore[no-
     """
     (pixels, halves), (smooth, lowest, highest) = image, fine
     colors, nearest, repeat, tile, origin_u, origin_v = options
-    (uvs, uv_triangles, triangle_tiles), (first, triangle, barycentric), (result, seen) = layout, points, sums
+    (uvs, uv_triangles, triangle_tiles), (first, triangle, barycentric) = layout, points
     height, width, channels = pixels.shape
     across, down = np.empty(6), np.empty(6)
     for texel in range(len(first) - 1):
@@ -277,61 +262,20 @@ def _accumulate(image, fine, options, layout, points, sums):  # type: ignore[no-
             c0, r0 = int(x), int(y)
             c1, r1 = int(np.ceil(x)), int(np.ceil(y))  # a texel of weight 0 may be NaN: it is not read
             fx, fy = x - c0, y - r0
-            alphas = _corners(pixels, halves, r0, r1, c0, c1, colors) if colors < channels else (1.0, 1.0, 1.0, 1.0)
-            shown = _count_shown(alphas, fx, fy)
-            if shown and not seen[texel]:
-                result[texel, :colors] = 0.0
-            seen[texel] += shown > 0
-            first_channel = 0 if shown or not seen[texel] else colors
+            linear_from = 0
             if len(smooth) and first[texel + 1] - first[texel] <= _MAX_SMOOTH_SAMPLES and smooth[r0, c0]:
                 _six_points(fx, across)
                 _six_points(fy, down)
-                for channel in range(first_channel, colors):
+                for channel in range(colors):
                     value = _smooth_value(pixels, halves, r0, c0, channel, down, across)
                     result[texel, channel] += min(max(value, lowest[channel]), highest[channel])
-                first_channel = colors
-            for channel in range(first_channel, channels):
-                corners = _corners(pixels, halves, r0, r1, c0, c1, channel)
-                if channel < colors and 0 < shown < 4:
-                    corners = _fill_hidden(corners, alphas, shown)
-                upper = corners[0] + fx * (corners[1] - corners[0])
-                lower = corners[2] + fx * (corners[3] - corners[2])
+                linear_from = colors
+            for channel in range(linear_from, channels):
+                upper = _value(pixels, halves, r0, c0, channel)
+                upper += fx * (_value(pixels, halves, r0, c1, channel) - upper)
+                lower = _value(pixels, halves, r1, c0, channel)
+                lower += fx * (_value(pixels, halves, r1, c1, channel) - lower)
                 result[texel, channel] += upper + fy * (lower - upper)
-
-
-@numba.njit(cache=True, nogil=True)
-def _corners(pixels, halves, r0, r1, c0, c1, channel):  # type: ignore[no-untyped-def]
-    """Values of the four texels around a point, row by row."""
-    return (
-        _value(pixels, halves, r0, c0, channel),
-        _value(pixels, halves, r0, c1, channel),
-        _value(pixels, halves, r1, c0, channel),
-        _value(pixels, halves, r1, c1, channel),
-    )
-
-
-@numba.njit(cache=True, nogil=True)
-def _count_shown(alphas, fx, fy):  # type: ignore[no-untyped-def]
-    """How many of four texels have alpha above 0; 0 or 4 if the others' weights at the point are rounding."""
-    a, b, c, d = alphas[0] > 0.0, alphas[1] > 0.0, alphas[2] > 0.0, alphas[3] > 0.0
-    share = (1.0 - fy) * ((1.0 - fx) * a + fx * b) + fy * ((1.0 - fx) * c + fx * d)
-    if share < _ROUNDING:
-        return 0
-    return 4 if share > 1.0 - _ROUNDING else a + b + c + d
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_hidden(corners, alphas, shown):  # type: ignore[no-untyped-def]
-    """Values of four texels, with the mean of the ``shown`` ones in place of those with alpha 0."""
-    mean = 0.0
-    for k in range(4):
-        mean += corners[k] / shown if alphas[k] > 0.0 else 0.0
-    return (
-        corners[0] if alphas[0] > 0.0 else mean,
-        corners[1] if alphas[1] > 0.0 else mean,
-        corners[2] if alphas[2] > 0.0 else mean,
-        corners[3] if alphas[3] > 0.0 else mean,
-    )
 
 
 @numba.njit(cache=True, nogil=True)
