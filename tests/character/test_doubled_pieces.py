@@ -62,11 +62,14 @@ def test_a_piece_of_the_target_stands_for_one_piece() -> None:
 )
 def test_rigid_parts_of_one_place_are_found_without_names(carried, own, doubled) -> None:
     surface = TriangleSurface.from_faces(200.0 * np.eye(3), np.array([[0, 1, 2]]))
-    found = doubled_meshes([balls(*one) for one in carried], [balls(*one) for one in own], surface)
+    meshes = [balls(*one) for one in carried]
+    found = doubled_meshes(meshes, [balls(*one) for one in own], surface)
     assert sorted({pair[:2] for pair in found}) == doubled
     for row in {pair[0] for pair in found}:
         faces = np.concatenate([of for one, _, of in found if one == row])
         np.testing.assert_array_equal(np.unique(faces), np.arange(balls(*carried[row]).n_faces))
+    unused = [replace(mesh, positions=np.vstack([mesh.positions, np.zeros(3)])) for mesh in meshes]
+    assert len(doubled_meshes(unused, [balls(*one) for one in own], surface)) == len(found)
 
 
 @pytest.mark.parametrize(

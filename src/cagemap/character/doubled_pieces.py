@@ -72,7 +72,10 @@ def doubled_meshes(
     def groups_of_faces(mesh: ControlMesh) -> IndexArray:
         return groups(mesh).group[mesh.face_indices[mesh.face_offsets[:-1]]]
 
-    rigid, own_rigid = ([n for n, mesh in enumerate(of) if groups(mesh).is_rigid.all()] for of in (carried, own))
+    def is_rigid(mesh: ControlMesh) -> bool:
+        return bool(groups(mesh).is_rigid[groups_of_faces(mesh)].all())  # vertices without faces do not count
+
+    rigid, own_rigid = ([n for n, mesh in enumerate(of) if is_rigid(mesh)] for of in (carried, own))
     sides = [carried[n] for n in rigid], [own[n] for n in own_rigid]
     of_groups = _at_one_place(*sides, _MAX_RIGID_DISTANCE, groups_of_faces)
     found = [(rigid[row], own_rigid[number], faces) for row, number, faces in of_groups]
@@ -96,7 +99,7 @@ def _at_one_place(
     joined, own_joined = join_meshes(carried), join_meshes(own)
     of_mesh, of_own = (np.repeat(np.arange(len(meshes)), [one.n_faces for one in meshes]) for meshes in (carried, own))
     labels, own_labels = (
-        np.unique(np.array([of, np.concatenate([*map(labels_of, meshes)])]), axis=1, return_inverse=True)[1]
+        np.unique(np.array([of, np.concatenate([*map(labels_of, meshes)])]), axis=1, return_inverse=True)[1].ravel()
         for of, meshes in ((of_mesh, carried), (of_own, own))
     )
     pieces, own_pieces = members_of(labels), members_of(own_labels)

@@ -30,10 +30,11 @@ _log = logging.getLogger(__name__)
 _MAX_STRETCH = 2.0
 _MAX_SMALL_RADIUS = 0.1  # in sqrt(area)
 _LEAST_SAMPLES = 64  # of the body around a mesh
-# The samples around a shoe reach the knee on a body with fewer vertices. Its triangles are split for a mesh, unless it
-# is small, whose strain this divides by more than the ratio: 1.9 or more if torn (docs/lab/passengers.md).
-_COARSE_BODY, _MAX_STRAIN_RATIO = 4000, 1.6
-_SHORTEST = 1e-9  # length of an edge
+# On a body of fewer vertices the samples around a shoe reach the knee. Its triangles are then split for meshes whose
+# strain is that many times smaller with split triangles: 1.9 for torn meshes, 1.5 for others (docs/lab/passengers.md).
+_MIN_BODY_VERTICES = 4000
+_MIN_STRAIN_RATIO = 1.6
+_MIN_EDGE_LENGTH = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +129,10 @@ def carry_passengers(
     frames = BodyFrames(point_map)
     places, matrices = _place(frames, points, triangles, distances)
     large = [not _is_small(points[start:end]) for start, end in pairwise(starts.tolist())]
-    if target.n < _COARSE_BODY and any(large):
-        split = _place(BodyFrames(with_split_triangles(point_map, _COARSE_BODY)), points, triangles, distances)
+    if target.n < _MIN_BODY_VERTICES and any(large):
+        split = _place(BodyFrames(with_split_triangles(point_map, _MIN_BODY_VERTICES)), points, triangles, distances)
         for own, start, end in compress(zip(triangles, starts[:-1], starts[1:], strict=True), large):
-            if _strain(points, places, own) > _MAX_STRAIN_RATIO * _strain(points, split[0], own):
+            if _strain(points, places, own) > _MIN_STRAIN_RATIO * _strain(points, split[0], own):
                 places[start:end], matrices[start:end] = (of[start:end] for of in split)
     of_small = list[tuple[slice, FloatArray]]()  # rows and matrices of small meshes
     for mesh, own, start, is_large in zip(meshes, triangles, starts[:-1], large, strict=True):
@@ -174,7 +175,9 @@ def _place(
 def _strain(points: FloatArray, places: FloatArray, triangles: IndexArray) -> float:
     """Standard deviation of the logarithms of the edges' stretches, weighted by length."""
     edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    before, after = (np.maximum(row_lengths(np.diff(of[edges], axis=1)[:, 0]), _SHORTEST) for of in (points, places))
+    before, after = (
+        np.maximum(row_lengths(np.diff(of[edges], axis=1)[:, 0]), _MIN_EDGE_LENGTH) for of in (points, places)
+    )
     stretches, weights = np.log(after / before), before / before.sum()
     return float(np.sqrt(weights @ (stretches - weights @ stretches) ** 2))
 

@@ -52,6 +52,15 @@ BONE_ENDS: Mapping[str, str] = {"spine": "neck", "neck": "head"} | {
 }
 
 
+def example_times(animation: Animation) -> tuple[float, FloatArray]:
+    """Time of an animation's first key, and (3,) times of poses to look at, between its first and its last key.
+
+    Tracks of one key are poses and do not count.
+    """
+    keys = np.concatenate([track.times for track in animation.tracks if len(track.times) > 1] or [np.zeros(1)])
+    return float(keys.min()), np.quantile([keys.min(), keys.max()], (0.25, 0.5, 0.75))
+
+
 def pose_at(rig: Rig, animation: Animation, time: float) -> FloatArray:
     """World transforms of all joints, (j, 4, 4) float64, at a time of an animation.
 

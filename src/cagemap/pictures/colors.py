@@ -37,7 +37,7 @@ def position_colors(points: FloatArray, reference: FloatArray, cells: int = POSI
     """Colours of positions: x, y, z as red, green, blue, with a faint checker.
 
     They show a map when the source gets its own positions and the target the positions its vertices map to.
-    ``reference``: (m, 3) all positions of the source, which define the range.
+    ``reference``: (m, 3) positions that define the range; colours of others are those of its borders.
     ``cells``: number of squares of the checker along the longest side of the range; 0: no checker.
     """
     low, high = reference.min(0), reference.max(0)

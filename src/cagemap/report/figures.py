@@ -47,7 +47,7 @@ WIDTH, HEIGHT = 600, 460
 THUMBNAIL_SIZE = 220, 190
 # Of sqrt(area): distance of two answers that gets the last colour of the scale.
 MAX_ANSWER_DISTANCE = 0.3
-STILL_CHECKER_CELLS = 28  # along the longest side
+STILL_CHECKER_CELLS = 28  # along the longest side of the matched part
 MAX_TEXTURE_SIZE = 2048  # texels a side
 BACKGROUND = np.array([0.962, 0.966, 0.970])
 
@@ -205,7 +205,7 @@ def _skins(models: _ModelPair, texture: Pixels | None, baked: Pixels | None) -> 
 
 def _checker(points: FloatArray, reference: FloatArray) -> FloatArray:
     """(n, 3) colours of a three-dimensional checker."""
-    size = float(np.ptp(reference, axis=0).max())
+    size = float(np.ptp(reference, axis=0).max()) or 1.0  # of one vertex
     cells = np.floor((points - reference.min(0)) * (STILL_CHECKER_CELLS / size)).astype(np.int64)
     odd = (cells.sum(1) % 2 == 1)[:, None]
     return np.where(odd, np.array([0.20, 0.45, 0.55]), np.array([0.93, 0.90, 0.84]))

@@ -18,7 +18,7 @@ from cagemap.pictures import TRUST_SCALE, distinct_colors, scalar_colors
 from cagemap.report.marks import SOURCE, TARGET, Mark
 from cagemap.report.shown import DisplaySurface, matched_source_vertices
 
-CHECKER_CELLS = 24  # along the longest side
+CHECKER_CELLS = 24  # along the longest side of the matched part
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from cagemap.character.poses import pose_at
+from cagemap.character.poses import example_times, pose_at
 from cagemap.character.retarget import retarget_all
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Animation, Character, Rig, skin_positions
@@ -23,8 +23,6 @@ from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangles import fan_triangles, vertex_normals
 
 NO_CHARACTER = Character(())
-# Times of an animation's poses, relative to its end.
-_POSE_TIMES = (0.25, 0.5, 0.75)
 
 
 def animated_character(path: Path) -> Character:
@@ -33,12 +31,12 @@ def animated_character(path: Path) -> Character:
 
 
 def animation_poses(character: Character) -> dict[str, tuple[int, float]]:
-    """Number of the animation and time in seconds of each pose, by its name on the page."""
+    """Number of the animation and time in seconds of each pose, by its name on the page: seconds from the first key."""
     poses = dict[str, tuple[int, float]]()
     if character.rig is not None and any(part.weights is not None for part in character.parts):
         for number, animation in enumerate(character.animations):
-            end = max((float(track.times[-1]) for track in animation.tracks), default=0.0)
-            poses |= {f"{animation.name}, {time * end:.2g} s": (number, time * end) for time in _POSE_TIMES}
+            start, times = example_times(animation)
+            poses |= {f"{animation.name}, {time - start:.2g} s": (number, float(time)) for time in times}
     return poses
 
 

@@ -47,6 +47,7 @@ _LEAST_EQUAL_FACES = 0.95
 _MAX_STRETCH, _SMOOTHING_ROUNDS = 5.0, 30
 _SHORT_EDGE = 0.1  # of the mean length; shorter edges count as this long
 _MIN_FACES = 4  # of a body: a tetrahedron
+_MIN_LIMB_EXTENT = 0.15  # of the body's; an arm has more than 0.2, a pauldron or a bracelet less
 _OTHER_PART = "Or choose another part (rig: --body-part, --like-part; face: --part)"
 
 
@@ -163,11 +164,13 @@ def _require_limbs(part: Part, ready: RepairedMesh, rig: Rig) -> None:
     if part.weights is None or not ready.repairs.pieces:
         return
     bones, is_matched = humanoid_joints(rig), ready.vertex_of >= 0
+    extent = box_diagonal(part.mesh.positions)
     moved = (part.weights > 0.5).tocsc()  # vertices that a joint moves more than all others together
     for side, limb in product(BODY_SIDES, ("Arm", "Leg")):
         joints = [bones[bone] for half in ("Upper", "Lower") if (bone := f"{side}{half}{limb}") in bones]
         vertices = moved[:, joints].indices
-        if len(vertices) and not is_matched[vertices].any():
+        limb_extent = box_diagonal(part.mesh.positions[vertices]) if len(vertices) else 0.0
+        if limb_extent > _MIN_LIMB_EXTENT * extent and not is_matched[vertices].any():
             raise ParameterError(
                 f"{part.mesh.name}: expected a body in one piece, but the {side} {limb.lower()} of {part.name} is not "
                 "on the piece that is matched. If faces under the clothes were deleted, export the whole body, or give "

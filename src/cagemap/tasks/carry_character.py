@@ -112,9 +112,8 @@ def carry_character(
         notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.doubles_of_pieces])
     for part in to_carry:
         if part in carried and (far := far_passenger(part.name, source_body.name, carried[part].distance, 1.0)):
-            notes.append(
-                f"{far}: its place beside the other body is a guess; to leave it out, name others by --passengers"
-            )
+            leave_out = "" if part is pieces else "; to leave it out, name others by --passengers"
+            notes.append(f"{far}: its place on the other body is a guess{leave_out}")
         if kinds.get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
     stages("weights and shapes")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.poses import fit_rotation_and_scale, pose_at
+from cagemap.character.poses import example_times, fit_rotation_and_scale, pose_at
 from cagemap.character.roles import find_body
 from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.errors import ParameterError, values_of
@@ -125,9 +125,10 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     rigged_document = character_glb(dressed, document, images, pieces_of)
     if not is_usd(request.output):
         rigged_document, starts = with_starts_at_zero(rigged_document)
-        late = first_few([f"{name} ({start:.3g} s)" for name, start in starts.items()])
-        text = f"start later than 0 in {request.like.name}, and at 0 in {request.output.name}, from where programs play"
-        notes += [f"{late}: {text}"] if starts else []
+        late = first_few([f"{name} (from {start:.3g} s)" for name, start in starts.items()])
+        notes += (
+            [f"animations moved to start at 0 in {request.output.name}, as programs expect: {late}"] if starts else []
+        )
     if request.report is not None:
         stages("report")
     with all_or_nothing():
@@ -325,18 +326,17 @@ def _write_report(
 def _poses(
     source: Character, made: Character, bodies: tuple[Part, Part], rows: tuple[IndexArray, IndexArray]
 ) -> Iterator[CarriedItem[FloatArray]]:
-    """Poses of both bodies at a quarter, half and three quarters of the first animation."""
+    """Poses of both bodies at a quarter, half and three quarters of the first animation, by the time from its start."""
     if source.rig is None or made.rig is None or not source.animations or not source.animations[0].tracks:
         return
     pair = source.animations[0], made.animations[0]
-    keys = np.concatenate([track.times for track in pair[0].tracks if len(track.times) > 1] or [np.zeros(1)])
-    for share in (0.25, 0.5, 0.75):
-        time = keys.min() + share * np.ptp(keys)
+    start, times = example_times(pair[0])
+    for time in times:
         both = [
             skinned_positions(body, rig, pose_at(rig, animation, time))[body_rows]
             for body, rig, animation, body_rows in zip(bodies, (source.rig, made.rig), pair, rows, strict=True)
         ]
-        yield CarriedItem(f"{pair[0].name}, {time:.3g} s", both[0], both[1])
+        yield CarriedItem(f"{pair[0].name}, {time - start:.3g} s", both[0], both[1])
 
 
 def _figures(character: Character) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def left_out_warnings(original: Path | None, name: str, output: Path) -> list[st
     """Warnings of what a written mesh lacks of its file, which holds more than cagemap keeps, or is gone."""
     if original is not None:
         # A .glb of a glTF or FBX file keeps all of it, or its writer warns.
-        lost = _held(original) if is_usd(original) or output.suffix.lower() != ".glb" else []
+        lost = _contents_beside_mesh(original) if is_usd(original) or output.suffix.lower() != ".glb" else []
         return [f"{output.name}: left out of {original.name}: {first_few(lost)}"] if lost else []
     suffix = output.suffix.lower()
     if {suffix, Path(name).suffix.lower()} <= set(USD_SUFFIXES):
@@ -42,7 +43,7 @@ def left_out_warnings(original: Path | None, name: str, output: Path) -> list[st
     return [f"{name}: {NO_GROUPS}"] if suffix == ".obj" else []
 
 
-def _held(file: Path) -> list[str]:
+def _contents_beside_mesh(file: Path) -> list[str]:
     """What a USD, glTF or FBX file has beyond its mesh."""
     if is_usd(file):
         return left_out_of_usd(file)
@@ -51,9 +52,9 @@ def _held(file: Path) -> list[str]:
 
 def old_rig_warnings(original: Path, output: Path) -> list[str]:
     """A warning if a wrapped mesh, written into its file's scene, keeps the rig of the shape before."""
-    kept = ", ".join(name for name in _held(original) if name in ("blend shapes", "skeleton"))
+    kept = ", ".join(name for name in _contents_beside_mesh(original) if name in ("blend shapes", "skeleton"))
     text = f"{output.name}: kept of {original.name}, in its old shape: {kept}. To adapt them, wrap to an .obj and type"
-    return [f"{text} `cagemap rig NEW.obj --like {original.name}`"] if kept else []
+    return [f"{text} `cagemap rig NEW.obj --like {shlex.quote(str(original))}`"] if kept else []
 
 
 def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:

@@ -87,7 +87,9 @@ def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDA
             padded[tile] = pixels.copy()
             dilate(padded[tile], inside[tile], distance=_PADDING)
             if is_flat:
-                replaced |= _distances(colors, _median(far)) < _distances(colors, padded[tile][beside])
+                is_background = _distances(colors, _median(far)) < _distances(colors, padded[tile][beside])
+                if is_background.mean() > 0.5:  # else the texture has padding
+                    replaced |= is_background
             beside[beside] = replaced
             np.copyto(padded[tile], pixels, where=~beside[..., None])
     return replace(laid, tiles=padded), coverage
