@@ -12,6 +12,7 @@ from cagemap.character.poses import (
     MIN_BONE_ANGLE,
     MIN_POSE_ANGLE,
     aligned_pose,
+    example_times,
     fit_rotation_and_scale,
     least_rotation,
     parent_transforms,
@@ -272,3 +273,19 @@ def test_a_reference_of_another_rig_is_refused() -> None:
     rig = person()
     with pytest.raises(ParameterError, match=rf"^reference: expected one transform a joint \({len(rig.names)}, 4, 4\)"):
         retarget(dance(rig), rig, rig, reference=rig.bind[:3])
+
+
+def test_example_times_lie_between_the_first_and_the_last_key() -> None:
+    """A pose of one key does not count."""
+    tracks = [
+        Track(0, "rotation", times, np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1)))
+        for times in (
+            np.array([10.0, 11.0]),
+            np.array([10.5, 14.0]),
+            np.zeros(1),
+        )
+    ]
+    start, times = example_times(Animation("walk", tuple(tracks)))
+    assert start == 10.0
+    np.testing.assert_allclose(times, [11.0, 12.0, 13.0])
+    np.testing.assert_array_equal(example_times(Animation("pose", (tracks[2],)))[1], 0.0)

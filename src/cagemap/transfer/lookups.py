@@ -79,15 +79,15 @@ def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDA
     coverage, inside, padded = covered_texels(laid, tiles), covered_texels(laid, tiles, gutter=0.0), dict(laid.tiles)
     for tile, covered in coverage.items():
         pixels, beside = laid.tiles[tile], covered & ~inside[tile]
-        sparse = (slice(None, None, 1 + max(covered.shape) // _SAMPLED_ROWS),) * 2
-        colors, far = pixels[beside], pixels[sparse][~covered[sparse]]
+        sampled = (slice(None, None, 1 + max(covered.shape) // _SAMPLED_ROWS),) * 2
+        colors, background = pixels[beside], pixels[sampled][~covered[sampled]]
         replaced = np.isclose(colors, _median(colors), rtol=0, atol=0, equal_nan=True).all(axis=1)
-        is_flat = bool((far == _median(far)).all(axis=1).mean() > 0.5) if len(far) else False
+        is_flat = bool((background == _median(background)).all(axis=1).mean() > 0.5) if len(background) else False
         if replaced.any() or is_flat:
             padded[tile] = pixels.copy()
             dilate(padded[tile], inside[tile], distance=_PADDING)
             if is_flat:
-                is_background = _distances(colors, _median(far)) < _distances(colors, padded[tile][beside])
+                is_background = _distances(colors, _median(background)) < _distances(colors, padded[tile][beside])
                 if is_background.mean() > 0.5:  # else the texture has padding
                     replaced |= is_background
             beside[beside] = replaced
