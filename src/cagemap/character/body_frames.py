@@ -57,7 +57,7 @@ class SignedDistances:
         closest = np.einsum("nc,ncd->nd", barycentric, body.positions[corners])
         body_normals = normalize_rows(np.einsum("nc,ncd->nd", barycentric, body.vertex_normals[corners]))
         side = np.einsum("nd,nd->n", points - closest, body_normals)
-        return cls(np.copysign(distance, side), body_normals, closest)
+        return cls(np.where(side < 0.0, -distance, distance), body_normals, closest)
 
 
 @dataclass(frozen=True, eq=False)
