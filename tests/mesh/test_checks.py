@@ -356,6 +356,7 @@ def test_a_refusal_names_the_way_round_where_there_is_one() -> None:
 def test_places_far_from_the_origin_are_exact() -> None:
     assert place_text((100000.25, 0.123456, -2.0)) == "(100000.25, 0.1235, -2)"
     assert place_text((-8.674e-19, 9.247, 0.1576)) == "(0, 9.247, 0.1576)"
+    assert place_text((np.inf, 1.0, np.nan)) == "(inf, 1, nan)"
     assert place_text((np.nan, 1.0, 0.0)) == "(nan, 1, 0)"
     assert place_text((2e-5, 1e-6, 0.0)) == "(2e-05, 1e-06, 0)"
 

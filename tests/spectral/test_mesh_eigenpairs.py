@@ -37,6 +37,12 @@ def test_residuals_are_below_the_accuracy_and_values_within_the_bound(arrays, ac
     assert x.dtype == np.float64
 
 
+@pytest.mark.parametrize("count", [1, 33, 65])  # one more than blocks of columns
+def test_every_number_of_pairs_is_possible(arrays, count):
+    pairs = cagemap.eigenpairs(arrays, count)
+    np.testing.assert_allclose(pairs.values, cagemap.eigenpairs(arrays, 70).values[:count], rtol=1e-8, atol=1e-8)
+
+
 def test_lengths_are_those_of_the_file(arrays):
     """Twice as large, eigenvalues are a quarter, and functions half."""
     one, two = (cagemap.eigenpairs((factor * arrays[0], arrays[1]), 12) for factor in (1.0, 2.0))

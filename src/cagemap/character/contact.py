@@ -31,9 +31,9 @@ class ContactConfig(Config):
     reach: float = 0.03  # largest distance of passenger and body in contact
     min_above_cosine: float = 0.5  # of the body's normal with the direction to the passenger above it
     min_facing_cosine: float = 0.3  # of the body's normal with that of the anchor
-    tolerance: float = 1e-5
+    tolerance: float = 1e-5  # of heights; also the height of a vertex that was moved outside
     max_rounds: int = 12
-    leaving_rounds: int = 4  # in which vertices inside the body move to the nearest point outside
+    leaving_rounds: int = 4  # most rounds that move vertices still inside to the nearest point outside
     spreading_rounds: int = 4  # in which a push spreads to neighbouring vertices
 
 
@@ -105,7 +105,7 @@ def _find_covered(
 
 
 def push_out(target: TriangleSurface, contact: Contact, places: FloatArray, triangles: IndexArray) -> FloatArray:
-    """Positions (n, 3) moved out of the target's body to the contact's heights, at unit area.
+    """Positions (n, 3) at unit area, moved out of the target's body to the contact's smallest heights.
 
     A push spreads to neighbouring vertices of the passenger and fades with each step.
     """
@@ -136,7 +136,7 @@ def push_out(target: TriangleSurface, contact: Contact, places: FloatArray, tria
 
 
 def _leave_body(target: TriangleSurface, rows: IndexArray, places: FloatArray) -> FloatArray:
-    """(n, 3) places, with some rows moved to the nearest point outside the body: thighs touch, and pushes add up."""
+    """Places (n, 3) with ``rows`` outside the body: pushes add up, and may end in the other of touching thighs."""
     for _ in range(_CONFIG.leaving_rounds):
         distances = _signed_distances(target, places[rows], None)
         is_inside = distances.heights < 0.0

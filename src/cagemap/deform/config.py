@@ -81,7 +81,8 @@ class DataConfig(Config):
     samples: float = 2.0  #: source samples per vertex of the target's mesh; more change nothing
     received_smoothing: float = 0.005  #: length over which received area is smoothed; less than a finger's width
     received: tuple[float, float] = (0.25, 0.5)  #: shares of its area received, with no and with full data term
-    inside_trip: float = 0.006  #: round trip that leaves a sample inside the target a quarter of its weight
+    #: distance from a source sample to its image there and back, at which it has a quarter of its weight
+    inside_trip: float = 0.006
     outside_trips: float = 6.0  #: round trip of a quarter of the weight outside, in sqrt(alpha): it may yet arrive
     uncovered: float = 0.02  #: largest distance from an open surface that counts; beyond its boundary is no misfit
     curve_share: int = 6  #: at most one in so many coarse vertices lies on curves
@@ -123,7 +124,7 @@ class SearchConfig(Config):
     fewest_points: int = 4  #: limbs and landmarks that an assignment needs
     fewest_of_part: int = 3  #: the same for a part, whose other limbs may be cut off
     max_limbs: int = 7  #: most limbs that are assigned; the most prominent ones
-    max_assignments: int = 10  #: assignments that get a start; the half with the cheaper starts is fitted
+    max_assignments: int = 10  #: assignments that get a start; half as many, of the cheapest starts, are fitted
     girth_weight: float = 0.5  #: weight of log ratios of girths, against those of lengths
     girth_part: float = 0.7  #: share of a limb's length, from its tip, over which its girth is measured
     tip_height: float = 0.01  #: least height of a tip over its pass; ears have 0.01 to 0.05, feet 0.1 to 0.3

@@ -46,7 +46,8 @@ PERCENTILES = {"area_ratio": ("1", "5", "50", "95", "99"), "aspect_ratio": ("50"
 class QualityFigures:
     """Quality of a map, measured without ground truth."""
 
-    landmark_errors: FloatArray = field(repr=False)  #: (p,) from a landmark's image to its source point, of sqrt(area)
+    #: (p,) distance from a landmark's image to its source point, in sqrt(source area)
+    landmark_errors: FloatArray = field(repr=False)
     flipped_area: float  #: share of the target's area whose image is folded over (its orientation is reversed)
     #: share of the source's area that the image of the target covers. If a surface is open, only the area that has a
     #: counterpart on the other surface counts.
@@ -54,7 +55,8 @@ class QualityFigures:
     dirichlet: float  #: Dirichlet energy, corresponding parts scaled to equal area; 1 for an isometry
     #: (5,) percentiles 1, 5, 50, 95, 99 (by target area) of the area stretch; 1 is the mean of the shared area
     area_ratios: FloatArray = field(repr=False)
-    aspect_ratios: FloatArray = field(repr=False)  #: (3,) percentiles 50, 95, 99 of the ratio of singular values
+    #: (3,) percentiles 50, 95, 99 (by target area) of ratios of singular values; 1 is conformal
+    aspect_ratios: FloatArray = field(repr=False)
     trust: FloatArray = field(repr=False)  #: (n1,) 1 where locally unfolded and little stretched, 0 at folds
     trusted_area: float  #: mean of ``trust`` by area
     warnings: tuple[str, ...] = ()  #: problems that a user should know, worst first; empty for a good map

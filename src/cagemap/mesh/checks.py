@@ -357,7 +357,10 @@ def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> MeshProblem | 
 
 
 def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> MeshProblem | None:
-    """Problem of a mesh whose faces look inwards, or of a closed one without volume; a sheet has no inside."""
+    """Problem of a mesh whose faces look inwards, or of a closed one without volume.
+
+    Openings are closed with cones; a sheet, less round than `OPEN_ROUNDNESS` then, has no inside.
+    """
     unit = with_openings_closed(_unit_sized(mesh), loops)
     volume, area = signed_volume(unit), float(face_areas(unit).sum())
     roundness = 36.0 * np.pi * volume * abs(volume) / area**3

@@ -49,7 +49,7 @@ class ControlMesh:
     vertex_colors: FloatArray | None = None  #: (n, 3) sRGB colours, NaN for vertices without one
     face_objects: IndexArray | None = None  #: (m,) index into ``object_names`` for every face
     object_names: tuple[str, ...] = ()  #: faces before the first name in a file have the name ''
-    object_schemes: tuple[Scheme, ...] = ()  #: of each object, where they differ; such a mesh cannot be subdivided
+    object_schemes: tuple[Scheme, ...] = ()  #: of each object, where they differ; the whole cannot be subdivided
     face_groups: IndexArray | None = None  #: (m,) index into ``group_names`` for every face
     group_names: tuple[str, ...] = ()  #: faces before the first name in a file have the name ''
     crease_edges: IndexArray | None = None  #: (k, 2) vertices of every crease edge

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -41,7 +42,7 @@ def count_noun(count: int, what: str) -> str:
 def place_text(place: Iterable[float]) -> str:
     """Three coordinates in brackets: "(1, 0.5, -2)"; far from the origin with more digits."""
     known = [float(x) for x in place]
-    rounding = 1e-9 * max(map(abs, known))  # smaller coordinates are 0
+    rounding = 1e-9 * max((abs(x) for x in known if math.isfinite(x)), default=0.0)  # smaller coordinates are 0
     shown = [0.0 if abs(x) <= rounding else x for x in known]
     return f"({', '.join(f'{x:.4g}' if abs(x) < 1e3 else f'{x:.8g}' for x in shown)})"
 
@@ -64,7 +65,7 @@ class MeshProblem:
     kind: str  #: short name, such as ``non-manifold edges``
     found: str  #: the expected and the actual state, in a sentence without the list of elements
     remedy: str  #: how to repair it
-    elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()  #: by the file's numbers; edges: pairs
+    elements: tuple[int, ...] | tuple[tuple[int, int], ...] = ()  #: by the file's numbers, from 0; edges: pairs
     places: tuple[str, ...] = ()  #: of the first `LISTED` elements: programs may number them otherwise
     of_vertices: bool = False  #: whether the elements are vertices; otherwise faces or edges
 
@@ -99,7 +100,7 @@ class MeshReport:
     euler_characteristic: int | None = None  #: vertices - edges + faces
     genus: int | None = None  #: number of handles, boundary loops counted as closed; summed over components
     boundary_edges: int | None = None  #: edges of one face
-    boundary_loops: tuple[tuple[int, ...], ...] | None = None  #: vertices along every loop, by the file's numbers
+    boundary_loops: tuple[tuple[int, ...], ...] | None = None  #: vertices of every loop, by the file's numbers
     component_sizes: tuple[int, ...] = ()  #: number of faces of every connected component, in file order
     valence_range: tuple[int, int] | None = None  #: fewest and most edges at a vertex that has faces
     uv_islands: int | None = None  #: None without texture coordinates

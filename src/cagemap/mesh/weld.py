@@ -145,7 +145,10 @@ def _pieces(mesh: ControlMesh) -> str:
 def coincident_vertices(
     mesh: ControlMesh, tolerance: float = 0.0, *, collapse: bool = False, offsets: FloatArray | None = None
 ) -> IndexArray:
-    """(n,) lowest border vertex within the tolerance of each; with ``collapse`` ends of zero-length edges too."""
+    """(n,) lowest border vertex within the tolerance of each border vertex; others stay, so that closed lips do.
+
+    With ``collapse`` the ends of edges of length 0 are joined too.
+    """
     topology = mesh_topology(mesh)
     ends = topology.edge_vertices
     border = np.unique(ends[topology.outer_edges])

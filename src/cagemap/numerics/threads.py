@@ -47,7 +47,10 @@ def _controlling_blas() -> Iterator[None]:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS and LAPACK, globally, to one thread inside the block; enter it before threads start."""
+    """Limit BLAS and LAPACK, globally, to one thread inside the block; enter it before threads start.
+
+    Blocks of several threads may overlap: the last one to end restores the former limit.
+    """
     with _blas_lock, _controlling_blas():
         _blas_limits.append(_blas_limits[0] if _blas_limits else threadpool_limits(limits=1, user_api="blas"))
     try:

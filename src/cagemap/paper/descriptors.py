@@ -128,7 +128,8 @@ class SpectralData:
 
     eigenvalues: FloatArray  #: (k,) Lambda~, in the order of the basis: bands of level 0, 1, ... Unit area.
     descriptors: FloatArray  #: (k, q) F~, weighted coefficients of the same q descriptors as on the other surface
-    operators: tuple[FloatArray, ...] = ()  #: (k, k) each: O~ but the Laplacian, such as self-symmetries (paper, 5.2)
+    #: (k, k) each, in the same order on both surfaces: O~ but the Laplacian, such as self-symmetries (paper, 5.2)
+    operators: tuple[FloatArray, ...] = ()
 
     def __repr__(self) -> str:
         sizes = f"{self.count} functions, {self.descriptors.shape[1]} descriptors, {len(self.operators)} operators"

@@ -114,7 +114,7 @@ def basis_sizes(pair: Pair, levels: LevelPair) -> tuple[int, int]:
 def search_level(
     pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap | None = None
 ) -> IndexArray:
-    """(n1,) nearest source vertex of every target vertex of a level: of all, or of candidates by ``coarse`` (Fig. 9).
+    """(n1,) nearest source vertex of each target vertex: of all (5.4), or of candidates by ``coarse`` (Fig. 9).
 
     If the target keeps its level, each of its vertices is its own parent; if the source does, the children of a vertex
     are its neighbours.

@@ -23,7 +23,7 @@ from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalize_rows
 
-COLUMN_BLOCK = 64  # number of columns that are solved and multiplied at a time
+COLUMN_BLOCK = 32  # columns that are solved and multiplied at a time, two blocks side by side
 MAX_INVERSE_ITERATIONS = 4  # most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding
 # Most parts that are solved together: Lanczos finds an eigenvalue, such as 0, about 64 times (the block's width).
 MAX_JOINT_PARTS = 100
@@ -121,9 +121,8 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
         if iteration == MAX_INVERSE_ITERATIONS:
             break
         improve = partial(_improve, shifted, areas, values - shift, vectors)
-        for part in parts:
-            middle = (part.start + part.stop + 1) // 2
-            in_threads(improve, (slice(part.start, middle), slice(middle, part.stop)))
+        for first in range(0, len(parts), 2):
+            in_threads(improve, parts[first : first + 2])
         _orthonormalise(vectors, areas)
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; remove triangles of almost no area, "

@@ -48,7 +48,7 @@ WARNING_SIGNS: dict[str, WarningSign] = {
     ),
     # Share of the target's area at which the map jumps: distant parts of the target are on one place of the source.
     "jumps": WarningSign(0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
-    # Share of the larger surface without a counterpart, if `stretched` is beyond its bound at equal area only; else 0.
+    # Share of the larger surface without a counterpart, if `stretched` is beyond its bound at equal area only.
     "small_part": WarningSign(
         1.0 - WHOLE_SHARE,
         "{percent:.0f} % of the larger model has no counterpart, and so small a part may fit in other places too",

@@ -97,7 +97,8 @@ class LandmarkCheck:
 
     suspects: tuple[LandmarkSuspect, ...] = ()  # pairs left out
     notes: tuple[str, ...] = ()  # further messages for a user
-    strains: FloatArray = field(default_factory=lambda: np.zeros(0))  # (p,) shift of each pair if it were released
+    # (p,) shift of each pair if it were released; 0 for pairs that were left out, added or moved; empty if unknown
+    strains: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def left_out(self) -> list[int]:
