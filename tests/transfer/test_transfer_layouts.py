@@ -37,7 +37,7 @@ from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.masks import bake_mask, painted_mask
 from cagemap.transfer.texels import lay_out, rasterize_band
-from cagemap.transfer.texture import OVERHANG, Filter, tile_cells
+from cagemap.transfer.texture import OVERHANG, Filter, Texture, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 
 from bake_images import BARE, noise, ramps
@@ -141,6 +141,17 @@ def test_the_background_of_a_jpeg_without_padding_does_not_show(background: int,
     for count in (size, size // 4):
         baked = bake_texture(transfer, compressed, size=count).astype(int)
         assert np.abs(baked - [120, 130, 140]).max() < 40  # as much as inside islands
+
+
+def test_a_padded_texture_keeps_its_padding() -> None:
+    """Some texels beside the island are nearer to the flat background's colour than to the island's."""
+    uvs = np.array([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]])
+    texture = np.zeros((64, 64, 3), dtype=np.uint8)
+    rng = np.random.default_rng(0)
+    texture[8:56, 8:56] = rng.choice([100, 220], (48, 48, 1), p=[0.2, 0.8]) + rng.integers(0, 20, (48, 48, 3))
+    texture[16:48, 16:48] = 250
+    laid = Texture({0: texture}, uvs, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, dtype=np.int64))
+    np.testing.assert_array_equal(pad_islands(laid, [0])[0].tiles[0], texture)
 
 
 def test_surface_points_are_carried_not_texture_coordinates() -> None:

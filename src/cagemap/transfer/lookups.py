@@ -88,7 +88,7 @@ def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDA
             dilate(padded[tile], inside[tile], distance=_PADDING)
             if is_flat:
                 is_background = _distances(colors, _median(background)) < _distances(colors, padded[tile][beside])
-                if is_background.mean() > 0.5:  # else the texture has padding
+                if 2 * is_background.sum() > len(is_background):  # else the texture has padding
                     replaced |= is_background
             beside[beside] = replaced
             np.copyto(padded[tile], pixels, where=~beside[..., None])
