@@ -35,6 +35,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import TexelSamples
+from cagemap.transfer.lookups import pad_islands
 from cagemap.transfer.masks import bake_mask, painted_mask
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import OVERHANG, Filter, Texture, tile_cells
