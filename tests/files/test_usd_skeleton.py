@@ -364,7 +364,7 @@ def test_units_of_baked_lengths_are_compared_with_those_of_the_written_cage(
         WrapRequest((folder / "RESULT",), folder / output, displacement=folder / "d.exr", size=16), Stages()
     )[1]
     expected = [f"images are in the source's units and axes; one of its units is {unit} of {output}"] if unit else []
-    assert [text for text in warnings if "units" in text] == expected
+    assert [text for text in warnings if "units and axes" in text] == expected
 
 
 @pytest.mark.parametrize("given", ["hat.usda", "hat.glb", "hat.obj"])

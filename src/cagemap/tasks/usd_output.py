@@ -54,7 +54,7 @@ def old_rig_warnings(original: Path, output: Path) -> list[str]:
     """A warning if a wrapped mesh, written into its file's scene, keeps the rig of the shape before."""
     kept = ", ".join(name for name in _contents_beside_mesh(original) if name in ("blend shapes", "skeleton"))
     text = f"{output.name}: kept of {original.name}, in its old shape: {kept}. To adapt them, wrap to an .obj and type"
-    return [f"{text} `cagemap rig NEW.obj --like {shlex.quote(str(original))}`"] if kept else []
+    return [f"{text} `cagemap rig NEW.obj --like {shlex.quote(os.path.normpath(original))}`"] if kept else []
 
 
 def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:
