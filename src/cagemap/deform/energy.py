@@ -87,7 +87,7 @@ class VertexTerms:
     constant: bool = False  # the same in all iterations: one factorisation, in double precision
 
     def solver(self, alpha: float, stage: Stage, factors: Factorization | None) -> tuple[Factorization, Solve]:
-        """Solver of ``alpha L + B`` with given or new factors; the next iteration corrects the error of these."""
+        """Solver of ``alpha L + B`` by given or new factors; the next iteration corrects errors of inexact factors."""
         graph, like = self.energy.graph, self.energy.factors
         matrix = graph.block_matrix(alpha, self.blocks)
         if self.constant:

@@ -333,7 +333,10 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
 
 
 def finest_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level as a mesh with UV sets, colours and labels (level 0: unchanged); InvalidMeshError for holes only."""
+    """Finest level as a mesh with all UV sets, colours and labels, without creases and holes.
+
+    Level 0 is returned unchanged. InvalidMeshError if all faces are holes.
+    """
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.finest_level == 0:
         return control

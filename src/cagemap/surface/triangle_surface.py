@@ -211,7 +211,7 @@ class SurfacePoints:
                 f"expected rows of 1 to 3 weights of {surface.n} vertices, got a matrix {rows.shape} with rows of "
                 f"{counts.min(initial=0)} to {counts.max(initial=0)}"
             )
-        # A point is in the triangle that has all vertices of its row.
+        # The vertices with weights in a row belong to one triangle, which contains the row's point.
         around = sparse.csr_array(
             (np.ones(surface.triangles.size), (surface.triangles.ravel(), np.arange(surface.triangles.size) // 3)),
             shape=(surface.n, len(surface.triangles)),

@@ -40,7 +40,7 @@ from cagemap.surface.triangles import corner_sums, triangle_areas, triangle_norm
 
 @dataclass(frozen=True)
 class MendConfig(Config):
-    """Mending of faces that fold or grow thin; a face is small where all of its corners are."""
+    """Mending of faces that fold or grow thin. A face is small if all of its corners are small (`small`)."""
 
     rounds: int = 20  #: most rounds of mending
     small_rounds: int = 6  #: most rounds for small faces

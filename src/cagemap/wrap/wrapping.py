@@ -174,7 +174,7 @@ def finest_follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
 
 
 def missing_detail(wrapped: Wrapped, target: Refinement, source: Refinement) -> tuple[Transfer, Detail, Refinement]:
-    """Wrapped surface to bake, the source as detail weighted by ``follow``, and the source, refined past the match."""
+    """Wrapped surface to bake into, the source as its detail (weights `Wrapped.follow`), and the refined source."""
     transfer, follow = wrapped_transfer(wrapped, target)
     refined_source = _refined(source, max(source.finest_level, _RENDERED))
     triangles = level_triangles(refined_source, refined_source.finest_level)

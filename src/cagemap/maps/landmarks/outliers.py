@@ -78,7 +78,10 @@ def typical_misfit(
 
 
 def misplaced_pairs(target: Distances, source: Distances, config: LandmarkConfig = LandmarkConfig()) -> IndexArray:
-    """Pairs out of proportion: exchanged ones, then single ones, worst first; others are judged again each time."""
+    """Pairs whose distances to the others differ between the surfaces: exchanged ones, then single ones, worst first.
+
+    After each pair that is found, the others are judged again without it.
+    """
     trusted, wrong = np.arange(len(target)), list[int]()
     max_suspected, at_once = config.max_suspects * len(trusted), max(1, len(trusted) // config.one_of)
     while len(trusted) > config.fewest_judged and len(wrong) <= max_suspected:
