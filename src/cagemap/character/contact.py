@@ -137,6 +137,7 @@ def push_out(target: TriangleSurface, contact: Contact, places: FloatArray, tria
 
 def _leave_body(target: TriangleSurface, rows: IndexArray, places: FloatArray) -> FloatArray:
     """Places (n, 3) with ``rows`` outside the body: pushes add up, and may end in the other of touching thighs."""
+    places = places.copy()
     for _ in range(_CONFIG.leaving_rounds):
         distances = _signed_distances(target, places[rows], None)
         is_inside = distances.heights < 0.0

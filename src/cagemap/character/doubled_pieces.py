@@ -5,12 +5,12 @@ Used by `cagemap.tasks.carry_character`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.character.passenger_pieces import Pieces, find_pieces
+from cagemap.character.passenger_pieces import find_pieces
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, face_areas, keep_faces
@@ -54,7 +54,9 @@ DoubledFaces = tuple[int, int, IndexArray]
 
 def doubled_pieces(carried: Sequence[ControlMesh], own: Sequence[ControlMesh]) -> list[DoubledFaces]:
     """Connected pieces of ``carried`` meshes at the place of pieces of ``own`` meshes."""
-    return _at_one_place(carried, own, _MAX_PIECE_DISTANCE, face_components)
+    return _at_one_place(
+        carried, own, [[*map(face_components, meshes)] for meshes in (carried, own)], _MAX_PIECE_DISTANCE
+    )
 
 
 def doubled_meshes(
@@ -64,43 +66,46 @@ def doubled_meshes(
 
     ``surface``: of the target; its unit decides which pieces are rigid, such as eyeballs.
     """
-    whole = _at_one_place(carried, own, _MAX_PART_DISTANCE, lambda mesh: np.zeros(mesh.n_faces, dtype=np.int64))
-
-    def groups(mesh: ControlMesh) -> Pieces:
-        return find_pieces(cage_triangles(mesh)[0], surface.scale * mesh.positions, np.zeros(mesh.n_vertices), None)
-
-    def groups_of_faces(mesh: ControlMesh) -> IndexArray:
-        return groups(mesh).group[mesh.face_indices[mesh.face_offsets[:-1]]]
-
-    def is_rigid(mesh: ControlMesh) -> bool:
-        return bool(groups(mesh).is_rigid[groups_of_faces(mesh)].all())  # vertices without faces do not count
-
-    rigid, own_rigid = ([n for n, mesh in enumerate(of) if is_rigid(mesh)] for of in (carried, own))
-    sides = [carried[n] for n in rigid], [own[n] for n in own_rigid]
-    of_groups = _at_one_place(*sides, _MAX_RIGID_DISTANCE, groups_of_faces)
+    wholes = [[np.zeros(mesh.n_faces, dtype=np.int64) for mesh in meshes] for meshes in (carried, own)]
+    groups = [[_rigid_groups(mesh, surface.scale) for mesh in meshes] for meshes in (carried, own)]
+    rigid, own_rigid = ([n for n, labels in enumerate(side) if labels is not None] for side in groups)
+    of_groups = _at_one_place(
+        [carried[n] for n in rigid],
+        [own[n] for n in own_rigid],
+        [[labels for labels in side if labels is not None] for side in groups],
+        _MAX_RIGID_DISTANCE,
+    )
     found = [(rigid[row], own_rigid[number], faces) for row, number, faces in of_groups]
     sizes = np.bincount([row for row, _, _ in found], [len(faces) for _, _, faces in found], len(carried))
+    whole = _at_one_place(carried, own, wholes, _MAX_PART_DISTANCE)
     return whole + [one for one in found if sizes[one[0]] == carried[one[0]].n_faces]
+
+
+def _rigid_groups(mesh: ControlMesh, scale: float) -> IndexArray | None:
+    """(f,) rigid group of each face of a mesh, in a unit ``scale`` times its own; None if a face is in none."""
+    pieces = find_pieces(cage_triangles(mesh)[0], scale * mesh.positions, np.zeros(mesh.n_vertices), None)
+    labels = pieces.group[mesh.face_indices[mesh.face_offsets[:-1]]]
+    return labels if pieces.is_rigid[labels].all() else None
 
 
 def _at_one_place(
     carried: Sequence[ControlMesh],
     own: Sequence[ControlMesh],
+    labels_of_faces: Sequence[Sequence[IndexArray]],
     distance: float,
-    labels_of: Callable[[ControlMesh], IndexArray],
 ) -> list[DoubledFaces]:
     """Pieces of meshes at one place; those are compared of which each has the other's nearest bounding box.
 
+    ``labels_of_faces``: the piece (f,) of each face, for carried and own meshes.
     ``distance``: the largest that is close, divided by the larger diagonal.
-    ``labels_of``: gives the piece of each face of a mesh.
     """
     if not carried or not own:
         return []
     joined, own_joined = join_meshes(carried), join_meshes(own)
     of_mesh, of_own = (np.repeat(np.arange(len(meshes)), [one.n_faces for one in meshes]) for meshes in (carried, own))
     labels, own_labels = (
-        np.unique(np.array([of, np.concatenate([*map(labels_of, meshes)])]), axis=1, return_inverse=True)[1].ravel()
-        for of, meshes in ((of_mesh, carried), (of_own, own))
+        np.unique(np.array([of, np.concatenate(labels)]), axis=1, return_inverse=True)[1].ravel()
+        for of, labels in zip((of_mesh, of_own), labels_of_faces, strict=True)
     )
     pieces, own_pieces = members_of(labels), members_of(own_labels)
     boxes, own_boxes = _boxes(joined, labels), _boxes(own_joined, own_labels)

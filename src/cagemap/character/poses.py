@@ -55,7 +55,7 @@ BONE_ENDS: Mapping[str, str] = {"spine": "neck", "neck": "head"} | {
 def example_times(animation: Animation) -> tuple[float, FloatArray]:
     """Time of an animation's first key, and (3,) times of poses to look at, between its first and its last key.
 
-    Tracks of one key are poses and do not count.
+    Tracks with a single key hold one pose, and their times are ignored.
     """
     keys = np.concatenate([track.times for track in animation.tracks if len(track.times) > 1] or [np.zeros(1)])
     return float(keys.min()), np.quantile([keys.min(), keys.max()], (0.25, 0.5, 0.75))

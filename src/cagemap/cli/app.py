@@ -21,7 +21,7 @@ from cagemap.tasks.requests.studio import StudioRequest
 # In the order of `--help`; the request of "demo" is `DemoRequest`.
 _COMMANDS = "demo check refine match transfer rig face report suggest run studio functions wrap map".split()
 
-_LOOK: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}
+_PLAIN_TYPER: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}  # no completion, no rich text
 
 
 class _Commands(Mapping[str, Any]):
@@ -57,7 +57,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    **_LOOK,
+    **_PLAIN_TYPER,
 )
 
 
@@ -118,6 +118,6 @@ def _run(request: Any) -> None:
 def _command(name: str) -> Any:
     """A command by its name."""
     kind = StudioRequest if name == "studio" else request_class(f"{name.capitalize()}Request")
-    alone = typer.Typer(**_LOOK)
+    alone = typer.Typer(**_PLAIN_TYPER)
     alone.command(name, cls=command_class(moved_options(kind)))(command_of(kind, _run))
     return typer.main.get_command(alone)

@@ -101,7 +101,7 @@ class SearchConfig(Config):
     limb_area: float = 0.02  #: share of the area that counts as a limb; less than a forearm and its hand
     min_coarse_distance: float = 0.001  #: coarse placements at a larger mean distance are both refined
     max_refined: int = 3  #: coarse placements that are refined from one start, and candidates of the fine stage
-    max_cost: float = 1.5  #: coarse placements and assignments of limbs that cost more times the cheapest are dropped
+    max_cost: float = 1.5  #: factor of the cheapest cost; coarse placements and limb assignments above it are dropped
     part_distance: float = 0.02  #: where two placements are farther apart, either one may be better
     part_area: float = 5e-4  #: least share of the area of a part that is taken from another placement
     #: two placements count as equally good if the larger cost is at most this factor times the smaller one; maps that
@@ -124,7 +124,8 @@ class SearchConfig(Config):
     fewest_points: int = 4  #: limbs and landmarks that an assignment needs
     fewest_of_part: int = 3  #: the same for a part, whose other limbs may be cut off
     max_limbs: int = 7  #: most limbs that are assigned; the most prominent ones
-    max_assignments: int = 10  #: assignments that get a start; half as many, of the cheapest starts, are fitted
+    max_assignments: int = 10  #: assignments that get a start
+    max_fitted_assignments: int = 5  #: of these, assignments that are fitted: those with the cheapest starts
     girth_weight: float = 0.5  #: weight of log ratios of girths, against those of lengths
     girth_part: float = 0.7  #: share of a limb's length, from its tip, over which its girth is measured
     tip_height: float = 0.01  #: least height of a tip over its pass; ears have 0.01 to 0.05, feet 0.1 to 0.3
@@ -204,7 +205,7 @@ class LandmarkConfig(Config):
     min_orientation: float = 0.02  #: landmarks with a smaller mean product of orientations are too flat to judge
     mirrored_agreement: float = -0.2  #: landmarks with less are mirrored as a whole; correct ones have 0.45 or more
     min_mirrored_cost: float = 1.3  #: and only if they raise the cost by this factor; correct crossed arms have 1.02
-    exchange_distance: float = 0.08  #: most between a landmark in a fit without them and the one it is exchanged with
+    exchange_distance: float = 0.08  #: from a landmark's place in a fit without it to the landmark it is exchanged with
     # Strain of single pairs
     strain_vertices: int = 300  #: vertices of the graph; the surroundings of a landmark are coarse
     strain_stiffness: float = 1e-4  #: stiffness of its energy
@@ -246,7 +247,7 @@ class ElasticConfig(Config):
     coarse_vertices: int = 1500  #: size of the coarse graph
     source_vertices: int = 15_000  #: vertices from which on a level of the source is fine enough to fit to
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
-    stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)  #: where fits from both starts agree
+    stiff_coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)  #: instead of `coarse` where both starts agree
     fine: Stage = Stage(8, (2e-4, 2e-5), 1e-4, momentum=0.8, patience=12, factored=4)
     landmark_start: Stage = Stage(20, (1.0, 1.0), 1e-3)  #: from the landmarks alone, smoothed as the next stage
     normal_weight: float = 0.03  #: closest points count position and this length times the normal
@@ -256,7 +257,7 @@ class ElasticConfig(Config):
     curve_weight: float = 1.0  #: of a curve, by its length in sqrt(area), against the same
     cost_stiffness: float = 1e-3  #: stiffness alpha at which placements are compared
     stretch_weight: float = 3e-3  #: of the variance of log stretches, where placements of open surfaces are compared
-    response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)  #: of a map to changed landmarks
+    response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)  #: change of a map that is there by new landmarks
     # Numbers of the parts of the method
     graph: GraphConfig = GraphConfig()
     data: DataConfig = DataConfig()

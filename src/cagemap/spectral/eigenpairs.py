@@ -256,8 +256,9 @@ def orthonormal_block(
         weak = values <= SOLVER.dependent * max(values[-1], np.finfo(float).tiny)
         roots = np.sqrt(np.where(weak, 1.0, values))
         total = (np.where(weak, 0.0, roots)[:, None] * vectors.T) @ total
+        turn = vectors / roots
         for part in (block, mass_block):
-            combined(part, vectors / roots, out=part)
+            combined(part, turn, out=part)
         if weak.any():
             fresh = rng.standard_normal((len(block), int(weak.sum())))
             for _ in range(2):
@@ -350,9 +351,13 @@ def combined(basis: Block, coefficients: Block, out: Block | None = None) -> Blo
     return out
 
 
-def inner_products(first: Block, second: Block) -> Block:
-    """(m, b) product P^T Q of tall blocks, in threads."""
-    shares = in_threads(lambda part: first[part].T @ second[part], row_slices(len(first), ROW_BLOCK))
+def inner_products(first: Block, second: Block, areas: FloatArray | None = None) -> Block:
+    """(m, b) product P^T D Q of tall blocks, in threads; D = diag ``areas`` (n,), or 1."""
+
+    def share(part: slice) -> Block:
+        return first[part].T @ (second[part] if areas is None else areas[part, None] * second[part])
+
+    shares = in_threads(share, row_slices(len(first), ROW_BLOCK))
     return np.asarray(sum(shares[1:], shares[0]))
 
 

@@ -16,9 +16,17 @@ from cagemap.mesh.structure_checks import require_structure
 from cagemap.numerics.arrays import FloatArray, members_of, offsets_of
 from cagemap.numerics.factorization import Factorization, factor, multiply
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.threads import ROW_BLOCK, in_threads, one_blas_thread, row_slices
+from cagemap.numerics.threads import in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
-from cagemap.spectral.eigenpairs import SOLVER, EigenPairs, band_pairs, combined, residual_norms, shifted_matrix
+from cagemap.spectral.eigenpairs import (
+    SOLVER,
+    EigenPairs,
+    band_pairs,
+    combined,
+    inner_products,
+    residual_norms,
+    shifted_matrix,
+)
 from cagemap.spectral.surface import Surface
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import corner_sums, normalize_rows
@@ -123,7 +131,8 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
         improve = partial(_improve, shifted, areas, values - shift, vectors)
         for first in range(0, len(parts), 2):
             in_threads(improve, parts[first : first + 2])
-        _orthonormalise(vectors, areas)
+        # M-orthonormal in order, as inverse iteration amplifies the lower vectors in each.
+        combined(vectors, linalg.inv(linalg.cholesky(inner_products(vectors, vectors, areas))), out=vectors)
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; remove triangles of almost no area, "
         "or ask `cagemap.eigenpairs` for a lower accuracy, at most 0.01"
@@ -133,13 +142,6 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
 def _improve(shifted: Factorization, areas: FloatArray, factors: FloatArray, vectors: FloatArray, part: slice) -> None:
     """One inverse iteration of some columns of vectors (n, k), in place."""
     vectors[:, part] = factors[part] * shifted.solve(areas[:, None] * vectors[:, part])
-
-
-def _orthonormalise(vectors: FloatArray, areas: FloatArray) -> None:
-    """M-orthonormalise vectors (n, k) in place, in order, as inverse iteration amplifies the lower ones in each."""
-    rows = row_slices(len(vectors), ROW_BLOCK)
-    shares = in_threads(lambda part: vectors[part].T @ (areas[part, None] * vectors[part]), rows)
-    combined(vectors, linalg.inv(linalg.cholesky(np.asarray(sum(shares[1:], shares[0])))), out=vectors)
 
 
 @kinds_checked

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -70,9 +69,11 @@ def compare_parts(
 
     def doubles(numbers: range) -> list[Part]:
         """Placed parts, all of whose faces have a counterpart in own pieces or parts of these numbers."""
-        found = [(row, face) for row, number, faces in pairs if number in numbers for face in faces.tolist()]
-        counts = Counter(row for row, _ in {*found})
-        return [part for row, part in enumerate(placed) if counts[row] == part.mesh.n_faces]
+        has_counterpart = [np.zeros(part.mesh.n_faces, dtype=bool) for part in placed]
+        for row, number, faces in pairs:
+            if row < count and number in numbers:
+                has_counterpart[row][faces] = True
+        return [part for part, found in zip(placed, has_counterpart, strict=True) if found.all()]
 
     found = [groups[row - count][1][faces] for row, _, faces in pairs if row >= count]
     found += pieces_in_surface(pieces.mesh, placed_pieces.mesh, point_map) if groups else []

@@ -109,8 +109,10 @@ def body_warnings(result: MatchResult) -> list[str]:
     manifest = result.manifest
     doubt = doubt_message(manifest)
     about_landmarks = [text for text in landmark_messages(manifest) if text != doubt]
-    found = [f": {finding}" for finding in describe_signs(manifest["confidence"]["signs"])] if doubt else []
-    doubts = [_DOUBT.format(*found[:1] or [""])] if doubt else []
+    doubts = []
+    if doubt:
+        findings = describe_signs(manifest["confidence"]["signs"])
+        doubts = [_DOUBT.format(f": {findings[0]}" if findings else "")]
     return [*about_landmarks, *manifest["quality"]["warnings"], *_poor_map(manifest), *doubts]
 
 

@@ -125,10 +125,9 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     rigged_document = character_glb(dressed, document, images, pieces_of)
     if not is_usd(request.output):
         rigged_document, starts = with_starts_at_zero(rigged_document)
-        late = first_few([f"{name} (from {start:.3g} s)" for name, start in starts.items()])
-        notes += (
-            [f"animations moved to start at 0 in {request.output.name}, as programs expect: {late}"] if starts else []
-        )
+        if starts:
+            late = first_few([f"{name} (from {start:.3g} s)" for name, start in starts.items()])
+            notes.append(f"animations moved to start at 0 in {request.output.name}, as programs expect: {late}")
     if request.report is not None:
         stages("report")
     with all_or_nothing():

@@ -1,4 +1,4 @@
-"""Warnings of `cagemap rig` about a body: other parts continue it, another axis is up, another unit."""
+"""Warnings of `cagemap rig` about a body: other parts continue its surface, or its up axis or unit differs."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.mesh_report import first_few
 
-# Of the character's up with that of the body; less if the file has another axis up.
+# Cosine of the up axes of character and body, below which the body's file has another axis up.
 _MIN_UPRIGHT_COSINE = 0.5
 # Ratio of the bodies' sizes, either way, above which there is a warning: feet and metres have 3.3.
-_MAX_SIZE_RATIO = 2.5
+_MAX_BODY_RATIO = 2.5
 
 
 def split_body_warning(path: Path, character: Character, body: Part) -> list[str]:
@@ -46,7 +46,7 @@ def up_warning(point_map: PointMap, path: Path) -> list[str]:
 def size_warning(result: MatchResult, body: Path, like: Path) -> list[str]:
     """A warning if the sizes of the bodies differ as those of two units do."""
     ratio = result.point_map.source.scale / result.point_map.target.scale
-    if 1.0 / _MAX_SIZE_RATIO <= ratio <= _MAX_SIZE_RATIO:
+    if 1.0 / _MAX_BODY_RATIO <= ratio <= _MAX_BODY_RATIO:
         return []
     spans = [float(np.ptp(side.control.positions, axis=0).max()) for side in (result.target, result.source)]
     return [

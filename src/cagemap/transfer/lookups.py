@@ -82,12 +82,13 @@ def pad_islands(laid: Texture, tiles: list[int]) -> tuple[Texture, dict[int, NDA
         sampled = (slice(None, None, 1 + max(covered.shape) // _SAMPLED_ROWS),) * 2
         colors, background = pixels[beside], pixels[sampled][~covered[sampled]]
         replaced = np.isclose(colors, _median(colors), rtol=0, atol=0, equal_nan=True).all(axis=1)
-        is_flat = bool((background == _median(background)).all(axis=1).mean() > 0.5) if len(background) else False
+        typical = _median(background)
+        is_flat = len(background) > 0 and bool((background == typical).all(axis=1).mean() > 0.5)
         if replaced.any() or is_flat:
             padded[tile] = pixels.copy()
             dilate(padded[tile], inside[tile], distance=_PADDING)
             if is_flat:
-                is_background = _distances(colors, _median(background)) < _distances(colors, padded[tile][beside])
+                is_background = _distances(colors, typical) < _distances(colors, padded[tile][beside])
                 if 2 * is_background.sum() > len(is_background):  # else the texture has padding
                     replaced |= is_background
             beside[beside] = replaced

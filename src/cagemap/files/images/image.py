@@ -156,7 +156,7 @@ def _open(file: Path) -> tuple[Any, str]:
         opened.close()
         raise FormatError(
             f"{file}: expected a flat image of 1 to {_LARGEST_CHANNELS} channels of uint8, uint16, half or float, "
-            f"found {spec.nchannels} of {kind}{' in depth' * (spec.depth > 1)}. Convert it first."
+            f"found {spec.nchannels} of {kind}" + (" in depth" if spec.depth > 1 else "") + ". Convert it first."
         )
     try:
         require_one_picture(file, opened)

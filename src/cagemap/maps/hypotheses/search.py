@@ -88,7 +88,7 @@ def fit_small_graph(
     rigid_fits = rank_placements(in_threads(fit_start, unrotated))
     show(rigid_fits[0])
     likely = sorted(in_threads(start_of_limbs, assigned_limbs(problem)), key=lambda start: start[2].cost)
-    likely = likely[: -(-config.max_assignments // 2)]
+    likely = likely[: config.max_fitted_assignments]
     limb_fits = in_threads(lambda start: (start[0], fit_start(start[2], start[1])), likely)
     limb_fits = sorted(limb_fits, key=lambda fit: fit[1].penalised_cost)[: config.max_assigned]
     # A part has a low cost in many places: only the fit of the whole is conclusive.
