@@ -10,7 +10,7 @@ pair = example_pair(64)
 basis = BasisConfig(schedule=(40, 20))
 target = research.prepare(pair.target, level=1, basis=basis)
 source = research.prepare(pair.source, level=1, basis=basis)
-problem = research.make_pair(target, source, (pair.landmarks.target, pair.landmarks.source))
+problem = research.make_pair(target, source, pair.landmarks)
 
 columns = []
 for surface in (target, source):

@@ -8,7 +8,7 @@ and `hfm_map` take all.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,16 +29,16 @@ from cagemap.maps.functional_maps import (
 )
 from cagemap.maps.functional_maps import functional_map_from as functional_map_of
 from cagemap.maps.hypotheses.search import search_placements
-from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, cage_points_of, symmetry_pairs
+from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, cage_points_of, point_pairs, symmetry_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, map_of_places
 from cagemap.maps.projection.project import project as _project
 from cagemap.maps.projection.project import unfold as _unfold
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.quality import judge as _judge
-from cagemap.mesh.inputs import control_mesh
+from cagemap.mesh.inputs import control_mesh, landmark_pairs
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, shown, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.paper.descriptors import (
     Constraints,
@@ -113,41 +113,37 @@ def prepare(mesh: Any, level: int, basis: BasisConfig = FULL_BASIS, name: str = 
 
 @kinds_checked
 def make_pair(
-    target: Surface,
-    source: Surface,
-    landmarks: tuple[ArrayLike, ArrayLike] = ((), ()),
-    symmetries: Sequence[SymmetryPair] = (),
+    target: Surface, source: Surface, landmarks: Any = ((), ()), symmetries: Sequence[SymmetryPair] = ()
 ) -> Pair:
-    """Make a pair of prepared surfaces with corresponding control vertices and self-maps.
+    """Make a pair of prepared surfaces with landmarks and self-maps.
 
     Parameters
     ----------
     target, source : Surface
-    landmarks : pair of (p,) arrays
+    landmarks : Landmarks, array (p, 2) of pairs (target vertex, source vertex), or tuple of two arrays (p,)
+        Control vertices, 0-based.
     symmetries : sequence of ((n_0 target,), (n_0 source,)) arrays
         As in `Pair`; `cagemap.mesh.mirrors.mirror_symmetries` finds some.
 
     Raises
     ------
-    ParameterError
+    ParameterError, InvalidLandmarksError
         If the sides do not correspond one to one, a self-map is not one of control vertices, or a mesh with
         symmetries is plain.
     """
-    listed = (
-        isinstance(landmarks, Iterable) and not isinstance(landmarks, Mapping) and getattr(landmarks, "shape", True)
-    )
-    vertices = [whole_numbers(side, "landmarks") for side in landmarks] if listed else []
-    if len(vertices) != 2 or vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
-        got = f"{len(vertices)}: {', '.join(str(side.shape) for side in vertices[:2])}" if listed else shown(landmarks)
-        raise ParameterError(
-            f"landmarks: expected two arrays (p,), as many target as source landmarks, got {got}. "
-            "Transpose an array (p, 2), or give it, or Landmarks, to `cagemap.pair_of`."
-        )
+    if isinstance(landmarks, tuple) and len(landmarks) == 2:
+        sides = [whole_numbers(side, "landmarks") for side in landmarks]
+        if sides[0].shape != sides[1].shape or sides[0].ndim != 1:
+            raise ParameterError(
+                "landmarks: expected two arrays (p,), as many target as source landmarks, got shapes "
+                f"{sides[0].shape} and {sides[1].shape}. Or give an array (p, 2) of pairs, or Landmarks."
+            )
+        landmarks = np.column_stack(sides)
     self_maps = symmetry_pairs(symmetries)
     for on_target, on_source in self_maps:
         check_symmetry(on_target, target.control)
         check_symmetry(on_source, source.control)
-    return Pair.of_vertices(target, source, vertices[0], vertices[1], self_maps)
+    return Pair(target, source, point_pairs(target, source, landmark_pairs(landmarks)), self_maps)
 
 
 @kinds_checked

@@ -10,12 +10,13 @@ from examples import shapes
 from tensor import Tensor
 
 from cagemap import research
-from cagemap.errors import ParameterError
+from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.example import ExamplePair
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, PointPairs, locate
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import Plain
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.spectral import BasisConfig
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
@@ -148,7 +149,7 @@ def test_arrays_of_another_shape_and_nan_are_refused_by_name(itself):
     target, constraints = itself.target, research.gather_constraints(itself)
     vertices, values = target.control.n_vertices, target.basis.at(1)
     nan, eye = np.nan, np.eye(30)
-    refuses(ParameterError, "got 3: .*Transpose", research.make_pair, target, target, np.zeros((3, 2), int))
+    refuses(InvalidLandmarksError, "array .2, 3.*Transpose", research.make_pair, target, target, np.zeros((2, 3), int))
     assert TriangleSurface.from_faces(np.eye(3).tolist(), [[0, 1, 2]]).n == 3
     for given in (np.ones(30), np.ones((29, 2)), np.ones((30, 2)) * nan):
         refuses(ParameterError, "^target descriptors: expected", constraints.with_descriptors, given, np.ones((30, 2)))
@@ -161,6 +162,21 @@ def test_arrays_of_another_shape_and_nan_are_refused_by_name(itself):
     for chosen in (np.arange(vertices) < 3, [0.5]):
         refuses(ParameterError, "vertices: expected whole numbers", target.basis.rows, 0, chosen)
     np.testing.assert_array_equal(target.basis.rows(0, [1, 2]), target.basis.at(0)[1:3])
+
+
+@pytest.mark.parametrize("kind", ["array of pairs", "list of pairs", "Landmarks", "tuple of sides"])
+def test_make_pair_takes_the_landmarks_that_match_takes(itself, kind):
+    sides = np.array([3, 9, 27]), np.array([4, 8, 16])
+    given = {
+        "array of pairs": np.column_stack(sides),
+        "list of pairs": np.column_stack(sides).tolist(),
+        "Landmarks": Landmarks(("a", "b", "c"), *sides),
+        "tuple of sides": sides,
+    }
+    pair = research.make_pair(itself.target, itself.source, given[kind])
+    np.testing.assert_array_equal(pair.target_landmarks, sides[0])
+    np.testing.assert_array_equal(pair.source_landmarks, sides[1])
+    assert pair.landmarks.names == (("a", "b", "c") if kind == "Landmarks" else ("point 0", "point 1", "point 2"))
 
 
 def test_operators_are_taken_where_coarse_levels_have_no_functions(recwarn):

@@ -277,7 +277,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "one number as landmarks": lambda s: research.make_pair(s.surface, s.surface, np.array(3)),
     "a dict of landmarks": lambda s: research.make_pair(s.surface, s.surface, {1: 2, 3: 4}),
     "no landmarks by None": lambda s: research.make_pair(s.surface, s.surface, None),
-    "named landmarks": lambda s: research.make_pair(s.surface, s.surface, s.landmarks),
+    "a triple as landmarks": lambda s: research.make_pair(s.surface, s.surface, [[1, 2, 3]]),
     "no symmetries by None": lambda s: research.make_pair(s.surface, s.surface, symmetries=None),
     "a weight that is no number": lambda s: constraints(s).with_descriptors(*s.functions, weight=NAN),
     "a weight as text": lambda s: constraints(s).with_descriptors(*s.functions, weight="1"),

@@ -165,8 +165,9 @@ class SurfacePoints:
             barycentric.min() >= -TOLERANCE and np.abs(barycentric.sum(axis=1) - 1.0).max() <= TOLERANCE
         ):
             raise ParameterError(
-                "expected barycentric coordinates that are finite, not negative and sum to 1 in every row, got rows "
-                f"from {barycentric.min()} to {barycentric.max()}"
+                "expected barycentric coordinates that are finite, not negative and sum to 1 in every row, got numbers "
+                f"from {barycentric.min():.4g} to {barycentric.max():.4g} and sums from "
+                f"{barycentric.sum(axis=1).min():.4g} to {barycentric.sum(axis=1).max():.4g}"
             )
         object.__setattr__(self, "triangle", read_only(triangle))
         object.__setattr__(self, "barycentric", read_only(barycentric))
