@@ -71,6 +71,14 @@ class View:
     baked: Path | None = None  # image of mode "baked"
     pose: str = ""  # name of the pose in which both models are shown, one of `MapState.poses`; '' for none
 
+    def with_image(self) -> View:
+        """The view of a source with an image: the image, where the colours of the map were shown."""
+        return replace(self, mode="texture" if self.mode == "colours" else self.mode)
+
+    def without_image(self) -> View:
+        """The view of a source without image and colours: the colours of the map instead of a grey model."""
+        return replace(self, mode="colours" if self.mode == "texture" else self.mode)
+
 
 @dataclass(frozen=True)
 class MapState:
