@@ -21,12 +21,14 @@ from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, TWO, Confidence, cost_signs
 from cagemap.maps.hypotheses.search import search_placements
 from cagemap.maps.hypotheses.starts import mutually_nearest
-from cagemap.maps.landmarks.outliers import (
+from cagemap.maps.landmarks.suspects import (
     Marks,
     exchanged_sides,
     misplaced_pairs,
     orientation_agreement,
-    reduced_energy,
+    position_rows,
+    released_shifts,
+    strain_system,
     strained_pair,
     typical_misfit,
 )
@@ -157,10 +159,10 @@ def check_on_map(
     trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
     images, places = point_map.images.at(problem.prepared.vertices), trusted.landmarks.source.positions
     graph, vertices = problem.prepared.energy.graph, trusted.landmark_vertices[0]
-    energy = reduced_energy(graph, images.positions, images.normals, vertices, problem.prepared.elastic)
+    system = strain_system(graph, images.positions, images.normals, vertices, problem.prepared.elastic)
     strains = np.zeros(count)
-    strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
-    strained, strain_notes = strained_pair(energy, places, strains[kept], config), list[str]()
+    strains[kept] = np.linalg.norm(released_shifts(system, places, position_rows(len(kept))), axis=1)
+    strained, strain_notes = strained_pair(system, places, strains[kept], config), list[str]()
     if strained is not None:
         typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
         if typical <= config.max_strain_misfit:
