@@ -160,7 +160,7 @@ class CoincidenceConfig(Config):
     #: largest mean distance, of sqrt(target area): eyes have up to 0.21, a chair in metres at one in millimetres 0.33
     own_gap: float = 0.25
     share: float = 0.95  #: least share of the target that is on the source, of what is not beyond its boundary
-    shared: float = 0.8  #: least share of the target that is not beyond the source's boundary, as in front of a hole
+    min_within_boundary: float = 0.8  #: least share of the target that is not in front of a hole of the source
     clothed: float = 0.6  #: least share of the source that is covered; clothes cover 0.34 to 0.5, a second body 0.81
     reach: float = 0.1  #: search radius of closest points that face the same way
     # Motions

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cagemap.deform.config import ElasticConfig
 from cagemap.deform.data import (
     PlacementConstraints,
-    SourceSamples,
+    SurfaceSamples,
     received_weights,
     source_to_clusters,
     source_to_target,
@@ -35,7 +35,7 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 
-def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SourceSamples | None) -> Terms:
+def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SurfaceSamples | None) -> Terms:
     """Data terms and constraints of clusters; source-to-target terms only if there are samples."""
     graph, masks, source, config = clusters.energy.graph, clusters.masks, prepared.source_surface, prepared.elastic
 
@@ -86,7 +86,7 @@ def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Ter
 
 
 def coarse_fit(
-    problem: Problem, start: FloatArray, clusters: Clusters | None = None, samples: SourceSamples | None = None
+    problem: Problem, start: FloatArray, clusters: Clusters | None = None, samples: SurfaceSamples | None = None
 ) -> Placement:
     """Placement of clusters by their coarse stage, from positions (k, 3), such as those of `landmark_start`.
 
@@ -135,7 +135,9 @@ def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placeme
     samples, maps = prepared.source_samples, energy.maps(positions)
     costs = vertex_costs(prepared, energy.graph, prepared.level_masks, positions, maps, config.coarse.smoothing)
     tree = build_tree(positions, triangles)
-    at, barycentric, distance = closest_points(tree, samples.points, samples.planes, normal_weight=config.normal_weight)
+    at, barycentric, distance = closest_points(
+        tree, samples.points, samples.normals, normal_weight=config.normal_weight
+    )
     squared = _capped(distance**2, prepared.mesh, config)
     missed = barycentric * (samples.areas * squared)[:, None]
     costs = costs + np.bincount(triangles[at].ravel(), missed.ravel(), energy.graph.n)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cagemap.deform.config import CoincidenceConfig
+from cagemap.deform.data import SurfaceSamples
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
@@ -27,9 +28,9 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface, nea
 from cagemap.surface.triangles import row_lengths, triangle_areas, triangle_centres
 
 SAME = 1e-5  # points closer than this times sqrt(source area) are equal: the rounding error of six digits in a file
-_UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])  # usual units, in metres: mm, cm, inch, foot, m
+UNITS = np.array([1e-3, 1e-2, 0.0254, 0.3048, 1.0])  # usual units, in metres: mm, cm, inch, foot, m
 FEWEST_POINTS = 3  # fewer pairs of points determine no motion
-_MOST_SAMPLES = 10_000  # at most this many vertices, and faces, of either surface are sampled
+MOST_SAMPLES = 10_000  # at most this many vertices, and faces, of either surface are sampled
 
 
 class Motion(NamedTuple):
@@ -66,7 +67,7 @@ class Coincidence:
             found: list[Coincidence] = []
             for own, other, mapped in shapes:
                 motions = aligning_motions(own, other, config) if factor is None else [Motion(scale=factor)]
-                whole = config if factor is not None else replace(config, shared=1.0)  # no allowance for holes
+                whole = config if factor is not None else replace(config, min_within_boundary=1.0)  # no holes
                 gaps = [_gap(moved(own, motion), other, masks.target, whole) for motion in motions]
                 close = [(gap, motion) for gap, motion in zip(gaps, motions, strict=True) if gap is not None]
                 if len(close) > 1:
@@ -138,7 +139,7 @@ def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, c
 
 def unit_ratio(ratio: float) -> float:
     """The ratio of two usual units of length that is nearest to a ratio of sizes."""
-    ratios = np.divide.outer(_UNITS, _UNITS).ravel()
+    ratios = np.divide.outer(UNITS, UNITS).ravel()
     return float(ratios[np.argmin(np.abs(np.log(ratios / ratio)))])
 
 
@@ -168,35 +169,28 @@ def _unsmoothed(surface: Surface) -> TriangleSurface:
 _SHAPES = (_cage, _unsmoothed), (_finest, _finest)
 
 
-class _Samples(NamedTuple):
-    """Points (k, 3) of a surface in the file's units, with normals (k, 3) and areas (k,) that they stand for."""
-
-    points: FloatArray
-    normals: FloatArray
-    areas: FloatArray
+def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> SurfaceSamples:
+    """Vertices in the file's unit."""
+    samples = SurfaceSamples.at_vertices(surface, MOST_SAMPLES, mask)
+    return samples._replace(points=samples.points / surface.scale)
 
 
-def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> _Samples:
-    rows = evenly_spaced_vertices(surface.n, _MOST_SAMPLES)
-    areas = (1.0 if mask is None else mask[rows]) * surface.vertex_areas[rows]
-    return _Samples(surface.positions[rows] / surface.scale, surface.vertex_normals[rows], areas)
-
-
-def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None, most: int = _MOST_SAMPLES) -> _Samples:
+def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None, most: int = MOST_SAMPLES) -> SurfaceSamples:
+    """Face centres in the file's unit."""
     rows = evenly_spaced_vertices(len(surface.triangles), most)
     corners = surface.triangles[rows]
     areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * triangle_areas(surface.positions, corners)
-    return _Samples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals_of(rows), areas)
+    return SurfaceSamples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals_of(rows), areas)
 
 
 def _distances(
-    samples: _Samples, other: TriangleSurface, unit: float, config: CoincidenceConfig
+    samples: SurfaceSamples, other: TriangleSurface, unit: float, config: CoincidenceConfig
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) distances to a surface's nearest points with similar normals, times ``unit``, at most ``near``; (k,) areas.
 
-    Areas are 0 beyond the surface's boundary, as in front of a hole of a scan, if that leaves the share ``shared``.
+    Areas are 0 beyond the surface's boundary, as in front of a hole of a scan, if that leaves ``min_within_boundary``.
     """
-    is_open = other.is_open and config.shared < 1.0
+    is_open = other.is_open and config.min_within_boundary < 1.0
     triangle, barycentric, far = closest_points(
         other.tree,
         other.scale * samples.points,
@@ -207,7 +201,7 @@ def _distances(
     distances = np.minimum(far * unit / other.scale, config.near)
     if is_open:
         beyond = (triangle >= 0) & (distances > config.max_gap) & other.at_boundary(triangle, barycentric)
-        if _share(samples.areas, ~beyond) >= config.shared:
+        if _share(samples.areas, ~beyond) >= config.min_within_boundary:
             return distances, np.where(beyond, 0.0, samples.areas)
     return distances, samples.areas
 
