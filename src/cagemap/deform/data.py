@@ -150,6 +150,17 @@ def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatAr
     return np.asarray(flat + 0.5 * np.einsum("mk,mkd->md", barycentric * heights, normals))
 
 
+def round_trip_weights(
+    trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
+) -> FloatArray:
+    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of source points by round trips d (m, 3) (Geman and McClure 1985).
+
+    The scale s is smaller for points inside the deformed target, because it does not expand inwards.
+    """
+    scale = np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip)
+    return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)
+
+
 def received_weights(
     smoother: Factorization, received: FloatArray, config: DataConfig = DataConfig(), *, of_parts: bool
 ) -> FloatArray:
@@ -164,32 +175,39 @@ def received_weights(
     return np.clip((density - none) / (full - none), 0.0, 1.0)
 
 
-def round_trip_weights(
-    trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
-) -> FloatArray:
-    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of source points by round trips d (m, 3) (Geman and McClure 1985).
+@dataclass(frozen=True, eq=False)
+class PlacementConstraints:
+    """Points and curves of a graph with their counterparts on the source."""
 
-    The scale s is smaller for points inside the deformed target, because it does not expand inwards.
-    """
-    scale = np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip)
-    return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)
+    anchors: CagePoints  # (p,) points of the graph's mesh
+    places: FloatArray  # (p, 3) positions of these points on the source
+    curves: tuple[CurveConstraint, ...] = ()
 
+    def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Add the terms of curves and points to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+        self.add_curves(blocks, right, positions, config)
+        self.add_points(blocks, right, positions, config)
 
-def add_to_corners(
-    points: CagePoints,
-    terms: FloatArray,
-    forces: FloatArray,
-    blocks: FloatArray,
-    right: FloatArray,
-    positions: FloatArray,
-) -> None:
-    """Add ``(sum_k b_k x_k - y)^T B (sum_k b_k x_k - y)`` of points to a data term (n, 3, 3), (n, 3), by their corners.
+    def add_curves(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Add the terms of curves alone."""
+        for curve in self.curves:
+            terms, forces = (config.curve_weight * part for part in curve.terms(positions))
+            add_to_corners(curve.anchors, terms, forces, blocks, right, positions)
 
-    ``terms`` are B (p, 3, 3), ``forces`` are B (y - sum_k b_k x_k) (p, 3).
-    """
-    at_corners = np.einsum("pab,pkb->pka", terms, positions[points.corners]) + forces[:, None]
-    np.add.at(blocks, points.corners, points.weights[:, :, None, None] * terms[:, None])
-    np.add.at(right, points.corners, points.weights[:, :, None] * at_corners)
+    def add_points(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Add the terms of points alone.
+
+        A point at a vertex replaces the vertex's other terms. Between vertices, ``|sum_k b_k x_k - y|^2`` gives every
+        corner the residual with weight b_k, as in `source_to_target`.
+        """
+        weight, at_vertex = config.landmark_weight, self.anchors.weights[:, 0] == 1.0
+        vertices = self.anchors.corners[at_vertex, 0]
+        blocks[vertices] = weight * np.eye(3)
+        right[vertices] = weight * self.places[at_vertex]
+        between = self.anchors.at(np.flatnonzero(~at_vertex))
+        missed = self.places[~at_vertex] - between.of(positions)
+        terms = np.tile(weight * np.eye(3), (len(missed), 1, 1))
+        add_to_corners(between, terms, weight * missed, blocks, right, positions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +246,23 @@ class CurveConstraint:
         return CurveConstraint(CagePoints.of_vertices(vertices[rows]), rest, self.source)
 
 
+def add_to_corners(
+    points: CagePoints,
+    terms: FloatArray,
+    forces: FloatArray,
+    blocks: FloatArray,
+    right: FloatArray,
+    positions: FloatArray,
+) -> None:
+    """Add ``(sum_k b_k x_k - y)^T B (sum_k b_k x_k - y)`` of points to a data term (n, 3, 3), (n, 3), by their corners.
+
+    ``terms`` are B (p, 3, 3), ``forces`` are B (y - sum_k b_k x_k) (p, 3).
+    """
+    at_corners = np.einsum("pab,pkb->pka", terms, positions[points.corners]) + forces[:, None]
+    np.add.at(blocks, points.corners, points.weights[:, :, None, None] * terms[:, None])
+    np.add.at(right, points.corners, points.weights[:, :, None] * at_corners)
+
+
 def constrained_clusters(
     curves: Sequence[CurveConstraint], constrained: IndexArray, vertices: int, config: DataConfig
 ) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
@@ -239,38 +274,3 @@ def constrained_clusters(
     place = places_of(distinct, int(distinct.max(initial=-1)) + 1)
     on_clusters = tuple(replace(curve, anchors=curve.anchors.renumbered(place.__getitem__)) for curve in thinned)
     return distinct, on_clusters
-
-
-@dataclass(frozen=True, eq=False)
-class PlacementConstraints:
-    """Points and curves of a graph with their counterparts on the source."""
-
-    anchors: CagePoints  # (p,) points of the graph's mesh
-    places: FloatArray  # (p, 3) positions of these points on the source
-    curves: tuple[CurveConstraint, ...] = ()
-
-    def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Add the terms of curves and points to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
-        self.add_curves(blocks, right, positions, config)
-        self.add_points(blocks, right, positions, config)
-
-    def add_curves(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Add the terms of curves alone."""
-        for curve in self.curves:
-            terms, forces = (config.curve_weight * part for part in curve.terms(positions))
-            add_to_corners(curve.anchors, terms, forces, blocks, right, positions)
-
-    def add_points(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Add the terms of points alone.
-
-        A point at a vertex replaces the vertex's other terms. Between vertices, ``|sum_k b_k x_k - y|^2`` gives every
-        corner the residual with weight b_k, as in `source_to_target`.
-        """
-        weight, at_vertex = config.landmark_weight, self.anchors.weights[:, 0] == 1.0
-        vertices = self.anchors.corners[at_vertex, 0]
-        blocks[vertices] = weight * np.eye(3)
-        right[vertices] = weight * self.places[at_vertex]
-        between = self.anchors.at(np.flatnonzero(~at_vertex))
-        missed = self.places[~at_vertex] - between.of(positions)
-        terms = np.tile(weight * np.eye(3), (len(missed), 1, 1))
-        add_to_corners(between, terms, weight * missed, blocks, right, positions)

@@ -36,6 +36,45 @@ FEWEST_LANDMARKS = 3
 StartFits = tuple[list[Placement], FloatArray]
 
 
+def fit_from_two_starts(
+    problem: Problem, clusters: Clusters, start: FloatArray | None = None, stiff_fits: StartFits | None = None
+) -> tuple[list[Placement], list[Placement]]:
+    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if the starts agree.
+
+    The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
+    constrained points alone (`landmark_start`). Clusters are fitted from each by the stiff coarse stage, which spreads
+    strain evenly (unless these ``stiff_fits`` are given), and the distinct placements are refined. The starts disagree
+    if these are far apart or a limb of the best one is rotated; then the soft stage, that of ``clusters``, is fitted
+    too, for `spectral_starts`. With a start and fewer than three constrained points nothing else is possible: it is
+    fitted by both stages.
+    """
+    elastic, areas = problem.prepared.elastic, clusters.energy.graph.areas
+    stiff = clusters.with_stage(elastic.stiff_coarse)
+    if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
+        both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
+        return refine_placements(problem, both_stages), []
+    coarse, first = stiff_fits or fit_both_starts(problem, stiff, start)
+    search = elastic.search
+    # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
+    distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
+    fine = refine_placements(problem, distinct)
+    rotation = largest_limb_rotation(
+        problem.prepared.energy, problem.prepared.level_masks, fine[0].positions, search.limb_area
+    )
+    distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
+    if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
+        return fine, []
+    return fine, fit_both_starts(problem, clusters, first)[0]
+
+
+def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> StartFits:
+    """Coarse fits from ZoomOut, or from positions (k, 3) in its place, and from the constrained points alone."""
+    with ThreadPool(1) as pool:  # at the same time as ZoomOut
+        from_points = pool.submit(lambda: coarse_fit(problem, landmark_start(problem, clusters), clusters))
+        start = zoomout_start(problem, clusters) if start is None else start
+        return [coarse_fit(problem, start, clusters), from_points.result()], start
+
+
 def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
     """(k, 3) places on the source of clusters, by ZoomOut from the constrained points' coordinates."""
     prepared = problem.prepared
@@ -103,45 +142,6 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
         return [places[zoomout(target, areas, source, match, schedule)] for schedule in schedules]
 
     return starts
-
-
-def fit_from_two_starts(
-    problem: Problem, clusters: Clusters, start: FloatArray | None = None, stiff_fits: StartFits | None = None
-) -> tuple[list[Placement], list[Placement]]:
-    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if the starts agree.
-
-    The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
-    constrained points alone (`landmark_start`). Clusters are fitted from each by the stiff coarse stage, which spreads
-    strain evenly (unless these ``stiff_fits`` are given), and the distinct placements are refined. The starts disagree
-    if these are far apart or a limb of the best one is rotated; then the soft stage, that of ``clusters``, is fitted
-    too, for `spectral_starts`. With a start and fewer than three constrained points nothing else is possible: it is
-    fitted by both stages.
-    """
-    elastic, areas = problem.prepared.elastic, clusters.energy.graph.areas
-    stiff = clusters.with_stage(elastic.stiff_coarse)
-    if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
-        both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
-        return refine_placements(problem, both_stages), []
-    coarse, first = stiff_fits or fit_both_starts(problem, stiff, start)
-    search = elastic.search
-    # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
-    distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
-    fine = refine_placements(problem, distinct)
-    rotation = largest_limb_rotation(
-        problem.prepared.energy, problem.prepared.level_masks, fine[0].positions, search.limb_area
-    )
-    distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
-    if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
-        return fine, []
-    return fine, fit_both_starts(problem, clusters, first)[0]
-
-
-def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> StartFits:
-    """Coarse fits from ZoomOut, or from positions (k, 3) in its place, and from the constrained points alone."""
-    with ThreadPool(1) as pool:  # at the same time as ZoomOut
-        from_points = pool.submit(lambda: coarse_fit(problem, landmark_start(problem, clusters), clusters))
-        start = zoomout_start(problem, clusters) if start is None else start
-        return [coarse_fit(problem, start, clusters), from_points.result()], start
 
 
 def refine_cheapest(

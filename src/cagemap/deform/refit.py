@@ -43,40 +43,10 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
     return replace(placed, finished_positions=(both_ways if cheap else posed).positions)
 
 
-def fit_in_pose(problem: Problem, positions: FloatArray) -> FloatArray:
-    """(n, 3) positions after refitting the target from the pose of a placement."""
-    prepared = problem.prepared
-    return fit_from_shape(problem, rigid_pose(prepared.energy.graph, positions, prepared.elastic.refit))
-
-
-def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
-    """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start."""
-    prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
-    energy = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing)
-    alike = replace(problem, prepared=replace(prepared, energy=energy))
-    clusters = alike.clusters_with(stage=prepared.elastic.stiff_coarse)
-    return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
-
-
-def clusters_in_pose(clusters: Clusters, positions: FloatArray, config: RefitConfig = RefitConfig()) -> Clusters:
-    """Clusters whose rest shape is moved to a placement (k, 3), as rigidly as possible."""
-    energy, shape = clusters.energy, rigid_pose(clusters.energy.graph, positions, config)
-    normals = deformed_normals(energy.graph.normals, energy.differentials(shape)[0])
-    return replace(clusters, energy=energy.with_rest_shape(shape, normals, clusters.stage.smoothing))
-
-
 def pose_difference(energy: ElasticEnergy, positions: FloatArray) -> float:
     """Difference of poses in radians: mean of `rotation_angles`."""
     areas = energy.graph.areas
     return float(areas @ rotation_angles(energy, positions)) / float(areas.sum())
-
-
-def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatArray, share: float) -> float:
-    """Least of `rotation_angles`, in radians, on the most rotated share of the unmasked area."""
-    angles = rotation_angles(energy, positions)
-    order = np.argsort(-angles)
-    covered = np.cumsum((energy.graph.areas * masks.of_target(energy.graph.n))[order])
-    return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
 
 
 def rotation_angles(energy: ElasticEnergy, positions: FloatArray) -> FloatArray:
@@ -90,6 +60,29 @@ def rotation_angles(energy: ElasticEnergy, positions: FloatArray) -> FloatArray:
 def common_rotation(areas: FloatArray, rotations: FloatArray) -> FloatArray:
     """(3, 3) mean rotation: nearest to rotations (n, 3, 3), weighted by area (n,)."""
     return nearest_rotations(np.einsum("n,nab->ab", areas, rotations)[None])[0]
+
+
+def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatArray, share: float) -> float:
+    """Least of `rotation_angles`, in radians, on the most rotated share of the unmasked area."""
+    angles = rotation_angles(energy, positions)
+    order = np.argsort(-angles)
+    covered = np.cumsum((energy.graph.areas * masks.of_target(energy.graph.n))[order])
+    return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
+
+
+def fit_in_pose(problem: Problem, positions: FloatArray) -> FloatArray:
+    """(n, 3) positions after refitting the target from the pose of a placement."""
+    prepared = problem.prepared
+    return fit_from_shape(problem, rigid_pose(prepared.energy.graph, positions, prepared.elastic.refit))
+
+
+def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
+    """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start."""
+    prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
+    energy = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing)
+    alike = replace(problem, prepared=replace(prepared, energy=energy))
+    clusters = alike.clusters_with(stage=prepared.elastic.stiff_coarse)
+    return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
 
 
 def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
@@ -148,3 +141,10 @@ def smooth_shifts(graph: ElasticGraph, shifts: FloatArray, trust: FloatArray, le
     """(n, 3) shifts of a mesh smoothed over a length, weighted by trust (n,)."""
     masses = graph.areas * np.maximum(trust, 1e-6)
     return graph.smoother(length, masses).solve(masses[:, None] * shifts)
+
+
+def clusters_in_pose(clusters: Clusters, positions: FloatArray, config: RefitConfig = RefitConfig()) -> Clusters:
+    """Clusters whose rest shape is moved to a placement (k, 3), as rigidly as possible."""
+    energy, shape = clusters.energy, rigid_pose(clusters.energy.graph, positions, config)
+    normals = deformed_normals(energy.graph.normals, energy.differentials(shape)[0])
+    return replace(clusters, energy=energy.with_rest_shape(shape, normals, clusters.stage.smoothing))

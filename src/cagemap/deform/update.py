@@ -21,6 +21,20 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import vertex_normals
 
 
+def linear_update(problem: Problem, before: PointMap) -> FloatArray:
+    """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
+    prepared, landmarks, clusters = problem.prepared, problem.landmarks, problem.coarse_clusters
+    coarse, vertices, config = clusters.energy.graph, clusters.vertices, prepared.elastic
+    positions = before.images.at(prepared.vertices).positions
+    normals = vertex_normals(positions, prepared.mesh.triangles)[vertices]
+    offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
+    blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
+    clusters.constraints.add_curves(blocks, right, positions[vertices], config)
+    terms = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
+    response = displacement_response(coarse, normals, np.arange(len(offsets)), offsets, config, terms)
+    return positions + extrapolate(coarse, *response, prepared.energy.graph, config.graph)
+
+
 def displacement_response(
     graph: ElasticGraph,
     normals: FloatArray,
@@ -46,17 +60,3 @@ def displacement_response(
     both = VertexTerms(energy, blocks, right, constant=True)
     displacements = minimise(graph, energy.differentials, both, np.zeros((graph.n, 3)), constant)
     return displacements, energy.maps(displacements)
-
-
-def linear_update(problem: Problem, before: PointMap) -> FloatArray:
-    """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
-    prepared, landmarks, clusters = problem.prepared, problem.landmarks, problem.coarse_clusters
-    coarse, vertices, config = clusters.energy.graph, clusters.vertices, prepared.elastic
-    positions = before.images.at(prepared.vertices).positions
-    normals = vertex_normals(positions, prepared.mesh.triangles)[vertices]
-    offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
-    blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
-    clusters.constraints.add_curves(blocks, right, positions[vertices], config)
-    terms = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
-    response = displacement_response(coarse, normals, np.arange(len(offsets)), offsets, config, terms)
-    return positions + extrapolate(coarse, *response, prepared.energy.graph, config.graph)

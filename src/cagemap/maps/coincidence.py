@@ -60,8 +60,9 @@ class Coincidence:
         Tried in this order: as the files stand, in other units, moved. A moved target must be nearer (``moved_gap``),
         and if it coincides in several rotations, like a box, the answer is None too.
         """
-        # The control mesh of a plain mesh is its finest level.
-        compared = _SHAPES[1:] if target.refinement.is_plain and source.refinement.is_plain else _SHAPES
+        # Of each shape: the surface that is compared, and the one whose vertices are mapped.
+        is_plain = target.refinement.is_plain and source.refinement.is_plain
+        compared = [(_finest, _finest)] if is_plain else [(_cage, _unsmoothed), (_finest, _finest)]
         shapes = [(measured(target), measured(source), mapped) for measured, mapped in compared]
         for factor in (*dict.fromkeys((1.0, unit_ratio(target.scale / source.scale))), None):
             found: list[Coincidence] = []
@@ -90,18 +91,10 @@ class Coincidence:
         return SurfacePoints(source, near.triangle, kept / kept.sum(axis=1, keepdims=True))
 
 
-def moved(surface: TriangleSurface, motion: Motion) -> TriangleSurface:
-    """The surface as if its file's coordinates were moved, at unit area; keeps what a motion does not change."""
-    rotation, scale, shift = motion
-    if not (angle_of(rotation) or np.any(shift)):
-        return surface if scale == 1.0 else replace(surface, scale=surface.scale / scale)
-    positions = surface.positions @ rotation.T + surface.scale / scale * shift
-    return TriangleSurface(positions, surface.triangles, surface.scale / scale)
-
-
-def angle_of(rotation: FloatArray) -> float:
-    """Angle in degrees of a rotation (3, 3)."""
-    return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
+def unit_ratio(ratio: float) -> float:
+    """The ratio of two usual units of length that is nearest to a ratio of sizes."""
+    ratios = np.divide.outer(UNITS, UNITS).ravel()
+    return float(ratios[np.argmin(np.abs(np.log(ratios / ratio)))])
 
 
 def aligning_motions(target: TriangleSurface, source: TriangleSurface, config: CoincidenceConfig) -> list[Motion]:
@@ -137,50 +130,47 @@ def _settled(motion: Motion, target: TriangleSurface, source: TriangleSurface, c
     return motion
 
 
-def unit_ratio(ratio: float) -> float:
-    """The ratio of two usual units of length that is nearest to a ratio of sizes."""
-    ratios = np.divide.outer(UNITS, UNITS).ravel()
-    return float(ratios[np.argmin(np.abs(np.log(ratios / ratio)))])
+def moved(surface: TriangleSurface, motion: Motion) -> TriangleSurface:
+    """The surface as if its file's coordinates were moved, at unit area; keeps what a motion does not change."""
+    rotation, scale, shift = motion
+    if not (angle_of(rotation) or np.any(shift)):
+        return surface if scale == 1.0 else replace(surface, scale=surface.scale / scale)
+    positions = surface.positions @ rotation.T + surface.scale / scale * shift
+    return TriangleSurface(positions, surface.triangles, surface.scale / scale)
 
 
-def _finest(surface: Surface) -> TriangleSurface:
-    return surface.finest_triangles
+def angle_of(rotation: FloatArray) -> float:
+    """Angle in degrees of a rotation (3, 3)."""
+    return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
 
 
-def _cage(surface: Surface) -> TriangleSurface:
-    """The control mesh with polygons as triangle fans; the finest level of a plain mesh."""
-    if surface.refinement.is_plain:
-        return _finest(surface)
-    return TriangleSurface(surface.scale * surface.control.positions, cage_triangles(surface.control)[0], surface.scale)
+def _gap(
+    target: TriangleSurface, source: TriangleSurface, mask: FloatArray | None, config: CoincidenceConfig
+) -> float | None:
+    """Mean distance of a target from a coincident source, of sqrt(source area); else None.
+
+    Vertices must coincide; face centres must only be near, since faces of a coarse mesh cut through a fine surface.
+    """
+    unit, faces, clothed = source.scale, _on_faces(target, mask), _on_faces(source)
+    apart, areas = _distances(faces, source, unit, config)
+    if _share(areas, apart < config.near) < config.share:
+        return None
+    gap = float(areas @ apart / areas.sum())
+    # A small target is near the source wherever it lies: the gap is small for the target's own size, too.
+    if gap * target.scale > config.own_gap * unit:
+        return None
+    for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
+        distances, areas = _distances(samples, other, unit, config)
+        close = areas @ distances <= config.mean_gap * areas.sum()
+        if close and _share(areas, distances < config.max_gap) >= config.share:
+            return gap
+    covered = _share(clothed.areas, _distances(clothed, target, unit, config)[0] < config.near)
+    return gap if covered < config.clothed else None
 
 
-def _unsmoothed(surface: Surface) -> TriangleSurface:
-    """Vertices of the finest level, at their positions on the flat faces of the control mesh."""
-    refinement, control = surface.refinement, surface.control
-    if refinement.is_plain:
-        return _finest(surface)
-    linear = interpolate_linearly(
-        control, control.face_indices, control.n_vertices, refinement.finest_level, refinement.scheme
-    )
-    return TriangleSurface(surface.scale * (linear.matrix @ control.positions), linear.corners, surface.scale)
-
-
-# Two shapes of a surface that may coincide: the one that is compared, and the one whose vertices are mapped.
-_SHAPES = (_cage, _unsmoothed), (_finest, _finest)
-
-
-def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> SurfaceSamples:
-    """Vertices in the file's unit."""
-    samples = SurfaceSamples.at_vertices(surface, MOST_SAMPLES, mask)
-    return samples._replace(points=samples.points / surface.scale)
-
-
-def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None, most: int = MOST_SAMPLES) -> SurfaceSamples:
-    """Face centres in the file's unit."""
-    rows = evenly_spaced_vertices(len(surface.triangles), most)
-    corners = surface.triangles[rows]
-    areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * triangle_areas(surface.positions, corners)
-    return SurfaceSamples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals_of(rows), areas)
+def _share(areas: FloatArray, chosen: NDArray[np.bool_]) -> float:
+    """Share of areas (k,) that is chosen; 0 if all areas are 0."""
+    return float(areas @ chosen / max(areas.sum(), 1e-300))
 
 
 def _distances(
@@ -206,30 +196,37 @@ def _distances(
     return distances, samples.areas
 
 
-def _share(areas: FloatArray, chosen: NDArray[np.bool_]) -> float:
-    """Share of areas (k,) that is chosen; 0 if all areas are 0."""
-    return float(areas @ chosen / max(areas.sum(), 1e-300))
+def _at_vertices(surface: TriangleSurface, mask: FloatArray | None = None) -> SurfaceSamples:
+    """Vertices in the file's unit."""
+    samples = SurfaceSamples.at_vertices(surface, MOST_SAMPLES, mask)
+    return samples._replace(points=samples.points / surface.scale)
 
 
-def _gap(
-    target: TriangleSurface, source: TriangleSurface, mask: FloatArray | None, config: CoincidenceConfig
-) -> float | None:
-    """Mean distance of a target from a coincident source, of sqrt(source area); else None.
+def _on_faces(surface: TriangleSurface, mask: FloatArray | None = None, most: int = MOST_SAMPLES) -> SurfaceSamples:
+    """Face centres in the file's unit."""
+    rows = evenly_spaced_vertices(len(surface.triangles), most)
+    corners = surface.triangles[rows]
+    areas = (1.0 if mask is None else mask[corners].mean(axis=1)) * triangle_areas(surface.positions, corners)
+    return SurfaceSamples(triangle_centres(surface.positions, corners) / surface.scale, surface.normals_of(rows), areas)
 
-    Vertices must coincide; face centres must only be near, since faces of a coarse mesh cut through a fine surface.
-    """
-    unit, faces, clothed = source.scale, _on_faces(target, mask), _on_faces(source)
-    apart, areas = _distances(faces, source, unit, config)
-    if _share(areas, apart < config.near) < config.share:
-        return None
-    gap = float(areas @ apart / areas.sum())
-    # A small target is near the source wherever it lies: the gap is small for the target's own size, too.
-    if gap * target.scale > config.own_gap * unit:
-        return None
-    for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
-        distances, areas = _distances(samples, other, unit, config)
-        close = areas @ distances <= config.mean_gap * areas.sum()
-        if close and _share(areas, distances < config.max_gap) >= config.share:
-            return gap
-    covered = _share(clothed.areas, _distances(clothed, target, unit, config)[0] < config.near)
-    return gap if covered < config.clothed else None
+
+def _finest(surface: Surface) -> TriangleSurface:
+    return surface.finest_triangles
+
+
+def _cage(surface: Surface) -> TriangleSurface:
+    """The control mesh with polygons as triangle fans; the finest level of a plain mesh."""
+    if surface.refinement.is_plain:
+        return _finest(surface)
+    return TriangleSurface(surface.scale * surface.control.positions, cage_triangles(surface.control)[0], surface.scale)
+
+
+def _unsmoothed(surface: Surface) -> TriangleSurface:
+    """Vertices of the finest level, at their positions on the flat faces of the control mesh."""
+    refinement, control = surface.refinement, surface.control
+    if refinement.is_plain:
+        return _finest(surface)
+    linear = interpolate_linearly(
+        control, control.face_indices, control.n_vertices, refinement.finest_level, refinement.scheme
+    )
+    return TriangleSurface(surface.scale * (linear.matrix @ control.positions), linear.corners, surface.scale)

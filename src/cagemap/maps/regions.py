@@ -28,15 +28,6 @@ class RegionFigures:
     folded: float  #: share of the region whose image is folded over
 
 
-def local_size(result: MatchResult) -> FloatArray:
-    """(n1,) length on the target per length on the source at target vertices; corresponding parts have equal area."""
-    target, sigma = result.point_map.target, _stretches(result)
-    # Sum the areas of a vertex's triangles, and of their images, before dividing.
-    areas = np.column_stack([target.areas, target.areas * sigma[0] * sigma[1]])
-    target_areas, image_areas = corner_sums(target.triangles, areas, target.n).T
-    return np.sqrt(np.divide(target_areas, image_areas, out=np.ones(target.n), where=image_areas > 0))
-
-
 @kinds_checked
 def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
     """Figures of the region around every trusted landmark, in the order of the landmarks.
@@ -70,6 +61,15 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
             )
         )
     return tuple(figures)
+
+
+def local_size(result: MatchResult) -> FloatArray:
+    """(n1,) length on the target per length on the source at target vertices; corresponding parts have equal area."""
+    target, sigma = result.point_map.target, _stretches(result)
+    # Sum the areas of a vertex's triangles, and of their images, before dividing.
+    areas = np.column_stack([target.areas, target.areas * sigma[0] * sigma[1]])
+    target_areas, image_areas = corner_sums(target.triangles, areas, target.n).T
+    return np.sqrt(np.divide(target_areas, image_areas, out=np.ones(target.n), where=image_areas > 0))
 
 
 def _stretches(result: MatchResult) -> tuple[FloatArray, FloatArray]:

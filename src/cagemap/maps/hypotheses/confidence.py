@@ -176,6 +176,20 @@ class Confidence:
         }
 
 
+def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
+    """Signs derived from the costs of answers, best first."""
+    best, *different = answers
+    cost = 1e4 * best.cost
+    runner_up = max((best.cost / max(other.cost, 1e-12) for other in different), default=0.0)
+    return {"cost": cost, "turned": cost if best.penalty > 1.0 else 0.0, "runner_up": runner_up}
+
+
+def describe_signs(signs: Mapping[str, float]) -> list[str]:
+    """Messages to the user about the signs above their bounds."""
+    beyond = [(SIGN_MESSAGES[name], signs[name]) for name, bound in SIGN_BOUNDS.items() if signs.get(name, 0.0) > bound]
+    return [message.format(value=value, percent=100 * value) for message, value in beyond]
+
+
 def answer_confidence(
     problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: Masks | None, jumps: FloatArray
 ) -> Confidence:
@@ -199,64 +213,6 @@ def answer_confidence(
         nearest = cKDTree(places[: len(controls)]).query(places[jumps.argmax()])[1]
         confidence = replace(confidence, deciding=int(controls[nearest]))
     return confidence
-
-
-def kept_confidence(before: Confidence | None, problem: Problem) -> Confidence | None:
-    """The confidence if all its answers fit all landmarks of a problem, none of which is at its vertex; else None."""
-    prepared, places = problem.prepared, problem.landmarks.source.positions
-    vertices = problem.landmark_vertices[0]
-    if before is None or before.deciding in prepared.vertices[vertices]:
-        return None
-    if prepared.target.refinement.is_plain:  # whose answers have all vertices
-        vertices = prepared.vertices[vertices]
-    if vertices.max(initial=-1) >= min(len(answer.positions) for answer in before.answers):
-        return None  # answers of a result that was read: at control vertices only
-    errors = np.linalg.norm([answer.positions[vertices] - places for answer in before.answers], axis=2)
-    return before if errors.max(initial=0.0) < prepared.elastic.landmarks.max_confirmed_miss else None
-
-
-def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
-    """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
-    best, max_share = ranked[0], SIGN_BOUNDS["limb_turned"]
-    for other in ranked[1:]:
-        share = turned_share(prepared.mesh, best.positions, other.positions)
-        if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > max_share:
-            answers = best.as_answer(AS_GIVEN), other.as_answer("with a limb turned otherwise about its axis")
-            apart = np.linalg.norm(best.positions - other.positions, axis=1)
-            controls = prepared.control_vertices
-            deciding = int(controls[apart[: len(controls)].argmax()])
-            return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)
-    return None
-
-
-def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
-    """Signs derived from the costs of answers, best first."""
-    best, *different = answers
-    cost = 1e4 * best.cost
-    runner_up = max((best.cost / max(other.cost, 1e-12) for other in different), default=0.0)
-    return {"cost": cost, "turned": cost if best.penalty > 1.0 else 0.0, "runner_up": runner_up}
-
-
-def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
-    """Prolong answers to all vertices of a plain target; describe the deciding vertex."""
-    target, deciding = prepared.target, confidence.deciding
-    if deciding is not None:
-        confidence = replace(confidence, file_vertex=target.control.file_vertex(deciding))
-    if not target.refinement.is_plain:
-        return confidence
-
-    def prolonged(answer: Placement) -> Placement:
-        places = np.array(target.hierarchy.prolong(answer.positions, prepared.levels[0], target.finest_level))
-        places[prepared.vertices] = answer.positions  # prolongation would smooth the known positions
-        return replace(answer, positions=places)
-
-    return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))
-
-
-def describe_signs(signs: Mapping[str, float]) -> list[str]:
-    """Messages to the user about the signs above their bounds."""
-    beyond = [(SIGN_MESSAGES[name], signs[name]) for name, bound in SIGN_BOUNDS.items() if signs.get(name, 0.0) > bound]
-    return [message.format(value=value, percent=100 * value) for message, value in beyond]
 
 
 def median_distortion(found: PointMap, weights: FloatArray | None = None, ratio: float = 1.0) -> float:
@@ -294,30 +250,6 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None =
     return farthest
 
 
-def jump_share(prepared: PreparedPair, jumps: FloatArray) -> float:
-    """Share of the target's area at which a map jumps, from `jump_lengths` (n,)."""
-    return float(prepared.energy.graph.areas[jumps > 0].sum())
-
-
-def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
-    """A warning if `jump_lengths` (n,) are not 0 on more area than the bound allows."""
-    share = jump_share(prepared, jumps)
-    if share <= SIGN_BOUNDS["jumps"]:
-        return ()
-    place = place_text(prepared.mesh.positions[jumps.argmax()] / prepared.mesh.scale)
-    return (
-        f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at {place} of the target's file. Add "
-        "landmarks on these parts",
-    )
-
-
-def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
-    """Share of a mesh's area whose normals differ by `TURNED_DEGREES` or more between two placements (n, 3)."""
-    normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
-    areas = mesh.vertex_areas
-    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURNED_DEGREES))].sum() / areas.sum())
-
-
 def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:
     """(m, 2) vertices whose images (n, 3) are near each other and face the same way."""
     radius = NEAR_SPACINGS / np.sqrt(len(places))
@@ -335,6 +267,23 @@ def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
     for row in np.where(np.isfinite(distances), distances, np.nan):
         apart = np.fmax(apart, np.abs(row[pairs[:, 0]] - row[pairs[:, 1]]))
     return apart
+
+
+def jump_share(prepared: PreparedPair, jumps: FloatArray) -> float:
+    """Share of the target's area at which a map jumps, from `jump_lengths` (n,)."""
+    return float(prepared.energy.graph.areas[jumps > 0].sum())
+
+
+def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
+    """A warning if `jump_lengths` (n,) are not 0 on more area than the bound allows."""
+    share = jump_share(prepared, jumps)
+    if share <= SIGN_BOUNDS["jumps"]:
+        return ()
+    place = place_text(prepared.mesh.positions[jumps.argmax()] / prepared.mesh.scale)
+    return (
+        f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at {place} of the target's file. Add "
+        "landmarks on these parts",
+    )
 
 
 def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
@@ -385,3 +334,54 @@ def mirrored_constraints(clusters: Clusters) -> Clusters:
     )
     constraints = replace(constraints, places=constraints.places * MIRROR_X, curves=tuple(curves))
     return replace(clusters, constraints=constraints)
+
+
+def kept_confidence(before: Confidence | None, problem: Problem) -> Confidence | None:
+    """The confidence if all its answers fit all landmarks of a problem, none of which is at its vertex; else None."""
+    prepared, places = problem.prepared, problem.landmarks.source.positions
+    vertices = problem.landmark_vertices[0]
+    if before is None or before.deciding in prepared.vertices[vertices]:
+        return None
+    if prepared.target.refinement.is_plain:  # whose answers have all vertices
+        vertices = prepared.vertices[vertices]
+    if vertices.max(initial=-1) >= min(len(answer.positions) for answer in before.answers):
+        return None  # answers of a result that was read: at control vertices only
+    errors = np.linalg.norm([answer.positions[vertices] - places for answer in before.answers], axis=2)
+    return before if errors.max(initial=0.0) < prepared.elastic.landmarks.max_confirmed_miss else None
+
+
+def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
+    """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
+    best, max_share = ranked[0], SIGN_BOUNDS["limb_turned"]
+    for other in ranked[1:]:
+        share = turned_share(prepared.mesh, best.positions, other.positions)
+        if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > max_share:
+            answers = best.as_answer(AS_GIVEN), other.as_answer("with a limb turned otherwise about its axis")
+            apart = np.linalg.norm(best.positions - other.positions, axis=1)
+            controls = prepared.control_vertices
+            deciding = int(controls[apart[: len(controls)].argmax()])
+            return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)
+    return None
+
+
+def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
+    """Share of a mesh's area whose normals differ by `TURNED_DEGREES` or more between two placements (n, 3)."""
+    normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
+    areas = mesh.vertex_areas
+    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURNED_DEGREES))].sum() / areas.sum())
+
+
+def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
+    """Prolong answers to all vertices of a plain target; describe the deciding vertex."""
+    target, deciding = prepared.target, confidence.deciding
+    if deciding is not None:
+        confidence = replace(confidence, file_vertex=target.control.file_vertex(deciding))
+    if not target.refinement.is_plain:
+        return confidence
+
+    def prolonged(answer: Placement) -> Placement:
+        places = np.array(target.hierarchy.prolong(answer.positions, prepared.levels[0], target.finest_level))
+        places[prepared.vertices] = answer.positions  # prolongation would smooth the known positions
+        return replace(answer, positions=places)
+
+    return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))

@@ -148,6 +148,67 @@ def landmark_outliers(problem: Problem, progress: Progress) -> tuple[dict[int, s
     return suspected, notes
 
 
+def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[dict[int, str], list[str]]:
+    """Suspected pairs with the evidence, ``left_out`` not compared; and a note if too few pairs agree to tell."""
+    count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
+    if count < config.fewest_judged:
+        return {}, [TOO_FEW]
+    kept, problem = np.setdiff1d(np.arange(count), list(left_out)), problem.without(left_out)
+    all_pairs, distances = np.arange(len(kept)), problem.landmark_distances
+    if typical_misfit(*distances, all_pairs, config) > config.max_typical_misfit:
+        return {}, [CONTRADICTION]
+    misplaced = misplaced_pairs(*distances, config)
+    if len(misplaced) > config.max_suspects * len(kept):
+        return {}, [CONTRADICTION]
+    if len(misplaced):
+        return dict.fromkeys(kept[misplaced].tolist(), DISTANCES), []
+    exchanged = exchanged_sides(distances, *_marks(problem), config)
+    return dict.fromkeys(kept[list(exchanged or ())].tolist(), SIDES), []
+
+
+def _marks(problem: Problem) -> tuple[Marks, Marks]:
+    """Positions and normals of the landmarks of target and source."""
+    sides = zip(problem.prepared.graphs, problem.landmark_vertices, strict=True)
+    target, source = ((graph.positions[landmarks], graph.normals[landmarks]) for graph, landmarks in sides)
+    return target, source
+
+
+def has_merged_parts(problem: Problem) -> bool:
+    """Whether large handles differ, as where a scan merges hand and hip, so that geodesic distances are too short."""
+    target, source = problem.prepared.target.control, problem.prepared.source.control
+    if handle_count(target) == handle_count(source):
+        return False
+    config = problem.prepared.elastic.landmarks
+    return large_handles(target, config) != large_handles(source, config)
+
+
+def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
+    """Number of handles larger than a cell, for the lattice whose cells contain most handles."""
+    size = 0.5 * config.min_distance * float(np.sqrt(face_areas(mesh).sum()))
+    return handle_count(mesh) - max(handle_count(mesh, label_cells(mesh, size, offset)) for offset in OFFSETS)
+
+
+def coarse_map_cost(problem: Problem) -> float:
+    """Cost of the best coarse fit that meets the landmarks."""
+    clusters = problem.coarse_clusters
+    return min(coarse_fit(problem, start(problem, clusters)).cost for start in (zoomout_start, landmark_start))
+
+
+def kept_note(problem: Problem, suspected: dict[int, str], why: str) -> str:
+    """Note about suspected pairs that were kept, and why."""
+    listed = ", ".join(f"'{problem.landmarks.names[i]}'" for i in sorted(suspected))
+    kept = f"{why}, so all were kept"
+    if SIDES in suspected.values():
+        return (
+            f"landmarks {listed} seem to be exchanged on one of the surfaces: the others lie around them in the "
+            f"opposite sense. Look at them; {kept}"
+        )
+    return (
+        f"the distances of {listed} to the other landmarks differ between the surfaces more than those of the others; "
+        f"{kept}"
+    )
+
+
 def check_on_map(
     problem: Problem, point_map: PointMap, outliers: dict[int, str], notes: Sequence[str]
 ) -> LandmarkCheck:
@@ -175,58 +236,14 @@ def check_on_map(
     return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
 
 
-def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[dict[int, str], list[str]]:
-    """Suspected pairs with the evidence, ``left_out`` not compared; and a note if too few pairs agree to tell."""
-    count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
-    if count < config.fewest_judged:
-        return {}, [TOO_FEW]
-    kept, problem = np.setdiff1d(np.arange(count), list(left_out)), problem.without(left_out)
-    all_pairs, distances = np.arange(len(kept)), problem.landmark_distances
-    if typical_misfit(*distances, all_pairs, config) > config.max_typical_misfit:
-        return {}, [CONTRADICTION]
-    misplaced = misplaced_pairs(*distances, config)
-    if len(misplaced) > config.max_suspects * len(kept):
-        return {}, [CONTRADICTION]
-    if len(misplaced):
-        return dict.fromkeys(kept[misplaced].tolist(), DISTANCES), []
-    exchanged = exchanged_sides(distances, *_marks(problem), config)
-    return dict.fromkeys(kept[list(exchanged or ())].tolist(), SIDES), []
-
-
-def coarse_map_cost(problem: Problem) -> float:
-    """Cost of the best coarse fit that meets the landmarks."""
-    clusters = problem.coarse_clusters
-    return min(coarse_fit(problem, start(problem, clusters)).cost for start in (zoomout_start, landmark_start))
-
-
-def has_merged_parts(problem: Problem) -> bool:
-    """Whether large handles differ, as where a scan merges hand and hip, so that geodesic distances are too short."""
-    target, source = problem.prepared.target.control, problem.prepared.source.control
-    if handle_count(target) == handle_count(source):
-        return False
-    config = problem.prepared.elastic.landmarks
-    return large_handles(target, config) != large_handles(source, config)
-
-
-def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
-    """Number of handles larger than a cell, for the lattice whose cells contain most handles."""
-    size = 0.5 * config.min_distance * float(np.sqrt(face_areas(mesh).sum()))
-    return handle_count(mesh) - max(handle_count(mesh, label_cells(mesh, size, offset)) for offset in OFFSETS)
-
-
-def kept_note(problem: Problem, suspected: dict[int, str], why: str) -> str:
-    """Note about suspected pairs that were kept, and why."""
-    listed = ", ".join(f"'{problem.landmarks.names[i]}'" for i in sorted(suspected))
-    kept = f"{why}, so all were kept"
-    if SIDES in suspected.values():
-        return (
-            f"landmarks {listed} seem to be exchanged on one of the surfaces: the others lie around them in the "
-            f"opposite sense. Look at them; {kept}"
-        )
-    return (
-        f"the distances of {listed} to the other landmarks differ between the surfaces more than those of the others; "
-        f"{kept}"
-    )
+def _suspect(problem: Problem, found: PointMap, pair: int, evidence: str) -> LandmarkSuspect:
+    """Suspect for a pair that was left out of a map."""
+    source, only = problem.prepared.source, problem.landmarks.only([pair])
+    places = only.target.interpolate(found.images.positions)[0], only.source.positions[0]
+    control = source.finest_triangles.positions[: source.control.n_vertices]
+    nearest, given = (int(np.linalg.norm(control - place, axis=1).argmin()) for place in places)
+    in_file, distance = source.control.file_vertex, float(landmark_errors(found, only)[0])
+    return LandmarkSuspect(only.names[0], pair, distance, in_file(nearest), in_file(given), evidence)
 
 
 def check_changes(problem: Problem, changed: IndexArray, check: LandmarkCheck, before: PointMap) -> LandmarkCheck:
@@ -240,27 +257,6 @@ def check_changes(problem: Problem, changed: IndexArray, check: LandmarkCheck, b
     contradicted = [suspect for suspect in new if suspect.distance >= config.max_confirmed_miss]
     suspects = tuple(sorted((*check.suspects, *contradicted), key=lambda suspect: suspect.pair))
     return replace(check, suspects=suspects, notes=tuple(dict.fromkeys((*check.notes, *notes))))
-
-
-def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...]:
-    """A warning if a map of ``count`` landmarks, without those left out, folds much of the target's area."""
-    if not count or not FOREIGN_FOLDED[0] < folded < FOREIGN_FOLDED[1]:
-        return ()
-    others = f" and {left_out} of {count} landmarks were left out" if left_out else ""
-    return (
-        f"are these landmarks of these meshes? {100 * folded:.0f} % of the target is folded over{others}. Look at the "
-        "landmarks on both meshes, and at which file they belong to",
-    )
-
-
-def _suspect(problem: Problem, found: PointMap, pair: int, evidence: str) -> LandmarkSuspect:
-    """Suspect for a pair that was left out of a map."""
-    source, only = problem.prepared.source, problem.landmarks.only([pair])
-    places = only.target.interpolate(found.images.positions)[0], only.source.positions[0]
-    control = source.finest_triangles.positions[: source.control.n_vertices]
-    nearest, given = (int(np.linalg.norm(control - place, axis=1).argmin()) for place in places)
-    in_file, distance = source.control.file_vertex, float(landmark_errors(found, only)[0])
-    return LandmarkSuspect(only.names[0], pair, distance, in_file(nearest), in_file(given), evidence)
 
 
 def check_mirrored(
@@ -291,8 +287,12 @@ def check_mirrored(
     return Confidence(TWO, answers, cost_signs(answers)), check
 
 
-def _marks(problem: Problem) -> tuple[Marks, Marks]:
-    """Positions and normals of the landmarks of target and source."""
-    sides = zip(problem.prepared.graphs, problem.landmark_vertices, strict=True)
-    target, source = ((graph.positions[landmarks], graph.normals[landmarks]) for graph, landmarks in sides)
-    return target, source
+def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...]:
+    """A warning if a map of ``count`` landmarks, without those left out, folds much of the target's area."""
+    if not count or not FOREIGN_FOLDED[0] < folded < FOREIGN_FOLDED[1]:
+        return ()
+    others = f" and {left_out} of {count} landmarks were left out" if left_out else ""
+    return (
+        f"are these landmarks of these meshes? {100 * folded:.0f} % of the target is folded over{others}. Look at the "
+        "landmarks on both meshes, and at which file they belong to",
+    )
