@@ -144,16 +144,14 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
     return starts
 
 
-def refine_cheapest(
-    problem: Problem, coarse: Sequence[Placement], most: int | None = None, fine: Sequence[Placement] = ()
-) -> list[Placement]:
+def refine_cheapest(problem: Problem, coarse: Sequence[Placement], fine: Sequence[Placement] = ()) -> list[Placement]:
     """Fine placements, cheapest first: from the cheapest distinct coarse ones, given ones, and `best_parts` of all."""
     prepared, config = problem.prepared, problem.prepared.elastic.search
     ranked = sort_by_cost(coarse)
     graph = ranked[0].graph
     assert graph is not None
     cheap = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
-    kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: most or config.max_refined]
+    kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: config.max_refined]
     fine = sort_by_cost([*refine_placements(problem, kept), *fine])
     mixed = best_parts(prepared.energy.graph, fine, config)
     if mixed is None:

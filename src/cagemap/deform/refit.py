@@ -37,7 +37,8 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
     if prepared.masks.any:
         return placed
     if pose_difference(prepared.energy, placed.positions) > config.refit.min_pose_difference:
-        posed = evaluate_placement(prepared, fit_in_pose(problem, placed.positions))
+        shape = rigid_pose(prepared.energy.graph, placed.positions, config.refit)
+        posed = evaluate_placement(prepared, fit_from_shape(problem, shape))
     both_ways = evaluate_placement(prepared, inverse_consistent(problem, posed.positions))
     cheap = both_ways.cost <= config.search.max_equal_cost * posed.cost
     return replace(placed, finished_positions=(both_ways if cheap else posed).positions)
@@ -68,12 +69,6 @@ def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatA
     order = np.argsort(-angles)
     covered = np.cumsum((energy.graph.areas * masks.of_target(energy.graph.n))[order])
     return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
-
-
-def fit_in_pose(problem: Problem, positions: FloatArray) -> FloatArray:
-    """(n, 3) positions after refitting the target from the pose of a placement."""
-    prepared = problem.prepared
-    return fit_from_shape(problem, rigid_pose(prepared.energy.graph, positions, prepared.elastic.refit))
 
 
 def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
@@ -121,8 +116,10 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     prepared, back = problem.prepared, problem.prepared.reverse_pair
     mesh, graph, config = prepared.mesh, prepared.energy.graph, prepared.elastic.refit
     start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
-    posed = pose_difference(back.energy, start) > config.min_pose_difference
-    returned = fit_in_pose(problem.reverse_problem, start) if posed else fine_fit(problem.reverse_problem, start)
+    if pose_difference(back.energy, start) > config.min_pose_difference:
+        returned = fit_from_shape(problem.reverse_problem, rigid_pose(back.energy.graph, start, config))
+    else:
+        returned = fine_fit(problem.reverse_problem, start)
     places, gaps = inverse_positions(back.mesh, returned, mesh, config.normal_weight)
     trust = 1.0 / (1.0 + (gaps / config.gap) ** 2) ** 2
     return positions + smooth_shifts(graph, 0.5 * (places - positions), trust, config.smoothing)

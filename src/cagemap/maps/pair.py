@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -135,8 +136,7 @@ class Pair:
         return near_vertices(self.landmarks.source, self.source)
 
 
-@dataclass(frozen=True)
-class CurveMiss:
+class CurveMiss(NamedTuple):
     """Distances between the image of a curve and its counterpart, both ways, of sqrt(area)."""
 
     name: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangles import corner_sums
 
 
-@dataclass(frozen=True)
-class RegionFigures:
+class RegionFigures(NamedTuple):
     """Median stretch of a map over the region of the target around one landmark."""
 
     landmark: str  #: name of the landmark

@@ -357,10 +357,8 @@ def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> 
         share = turned_share(prepared.mesh, best.positions, other.positions)
         if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > max_share:
             answers = best.as_answer(AS_GIVEN), other.as_answer("with a limb turned otherwise about its axis")
-            apart = np.linalg.norm(best.positions - other.positions, axis=1)
-            controls = prepared.control_vertices
-            deciding = int(controls[apart[: len(controls)].argmax()])
-            return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)
+            confidence = Confidence.of(answers, prepared.control_vertices, {"limb_turned": share})
+            return replace(confidence, verdict=LOOK)
     return None
 
 

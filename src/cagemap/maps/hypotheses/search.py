@@ -131,7 +131,8 @@ def search_placements(
         for clusters, small_fit, stiff_fits in fit_limbs_stiffly(problem, limb_fits, max_ratio):
             fine, soft = fit_from_two_starts(problem, clusters, stiff_fits=stiff_fits)
             constrained.append((clusters, [placed.with_start_of(small_fit) for placed in fine], soft))
-        placements = fit_without_tips(problem, small_fits)
+        coarse = fit_without_tips(problem, small_fits)
+        placements = in_threads(lambda fits: refine_cheapest(problem, fits)[0].with_start_of(fits[0]), coarse)
     progress("elastic alignment")
     if constrained:
         (clusters, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
@@ -215,8 +216,11 @@ def fit_limbs_stiffly(
     return [fit for fit, cost in zip(fits, costs, strict=True) if cost <= max_ratio * min(costs)]
 
 
-def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[Placement]:
-    """Fine placements from fits of the small graph and their spectral starts: the best of each, if they differ."""
+def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[list[Placement]]:
+    """Coarse placements to refine: a list for each distinct fit of the small graph, the cheapest first.
+
+    They are fitted from it and from its spectral starts; only the first list has all of them, others have the cheapest.
+    """
     graph, starts = problem.coarse_clusters.energy.graph, spectral_starts(problem, problem.coarse_clusters)
     config = problem.prepared.elastic.search
 
@@ -226,16 +230,12 @@ def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[
             coarse = sort_by_cost([first, *(coarse_fit(problem, start) for start in starts(first))])
         return [placed.with_start_of(small_fit) for placed in coarse]
 
-    candidates = sorted(in_threads(fit_coarse, small_fits), key=lambda coarse: coarse[0].penalised_cost)
-    distinct = distinct_placements([coarse[0] for coarse in candidates], graph.areas, config.min_answer_distance)
-    max_cost = config.max_finish_cost * candidates[0][0].penalised_cost
-    cheap = [coarse for coarse in candidates if coarse[0] in distinct and coarse[0].penalised_cost <= max_cost]
-
-    def fit_fine(coarse: list[Placement]) -> Placement:
-        most = None if coarse is candidates[0] else 1
-        return refine_cheapest(problem, coarse, most)[0].with_start_of(coarse[0])
-
-    return in_threads(fit_fine, cheap[: config.max_refined])
+    best, *others = sorted(in_threads(fit_coarse, small_fits), key=lambda coarse: coarse[0].penalised_cost)
+    first = [best[0], *(coarse[0] for coarse in others)]
+    distinct = distinct_placements(first, graph.areas, config.min_answer_distance)
+    max_cost = config.max_finish_cost * best[0].penalised_cost
+    cheap = [coarse[:1] for coarse in others if coarse[0] in distinct and coarse[0].penalised_cost <= max_cost]
+    return [best, *cheap][: config.max_refined]
 
 
 def cost_floor(prepared: PreparedPair) -> float:
