@@ -183,21 +183,17 @@ class VertexTerms:
         if self.constant:
             exact = factor(matrix, like=like)
             return exact, lambda right, _: exact.solve(right.ravel()).reshape(-1, 3)
+        step: Callable[[FloatArray], FloatArray]
         if factors is not None:
-            return factors, partial(corrected, matrix, partial(conjugate_gradients, matrix, factors, stage))
-        try:
-            factors = factor(matrix, like=like, dtype=np.float32)
-        except SolverError:  # a motion is free, as where nothing of the source faces the positions: damp it
-            ridge = DAMPING * float(abs(matrix.diagonal()).mean()) * np.eye(3)
-            factors = factor(graph.block_matrix(alpha, self.blocks + ridge), like=like, dtype=np.float32)
-        return factors, partial(corrected, matrix, factors.solve)
-
-
-def corrected(
-    matrix: sparse.csc_array, solve: Callable[[FloatArray], FloatArray], right: FloatArray, positions: FloatArray
-) -> FloatArray:
-    """(n, 3) positions (n, 3) moved by an approximate solution for their residual."""
-    return positions + solve(right.ravel() - matrix @ positions.ravel()).reshape(-1, 3)
+            step = partial(conjugate_gradients, matrix, factors, stage)
+        else:
+            try:
+                factors = factor(matrix, like=like, dtype=np.float32)
+            except SolverError:  # a motion is free, as where nothing of the source faces the positions: damp it
+                ridge = DAMPING * float(abs(matrix.diagonal()).mean()) * np.eye(3)
+                factors = factor(graph.block_matrix(alpha, self.blocks + ridge), like=like, dtype=np.float32)
+            step = factors.solve
+        return factors, lambda right, at: at + step(right.ravel() - matrix @ at.ravel()).reshape(-1, 3)
 
 
 def conjugate_gradients(

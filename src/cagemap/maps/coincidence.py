@@ -48,7 +48,7 @@ class Coincidence:
     target: TriangleSurface  # after the motion: the finest level, or its vertices on the faces of the control mesh
     source: TriangleSurface
     gap: float  # mean distance of the target's area from the source, in units of sqrt(source area)
-    reach: float  # search radius of `images`, in the same unit
+    search_radius: float  # of `images`, in the same unit
     motion: Motion
 
     @classmethod
@@ -75,7 +75,8 @@ class Coincidence:
                     return None
                 for gap, motion in close:
                     if factor is not None or gap <= config.moved_gap:
-                        found.append(cls(moved(mapped(target), motion), mapped(source), gap, config.reach, motion))
+                        placed = moved(mapped(target), motion)
+                        found.append(cls(placed, mapped(source), gap, config.search_radius, motion))
             if found:
                 return min(found, key=lambda one: one.gap)
         return None
@@ -83,7 +84,7 @@ class Coincidence:
     def images(self, source: TriangleSurface, shifts: FloatArray | float = 0.0) -> SurfacePoints:
         """Closest source points that face the same way as the target's vertices, moved by shifts (n1, 3)."""
         places = self.source.scale / self.target.scale * self.target.positions + shifts
-        near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.reach)
+        near, _ = nearest_facing(self.source, places, self.target.vertex_normals, self.search_radius)
         corners = self.source.positions[near.corners]  # snapped to vertices and edges nearer than `SAME`
         longest = row_lengths(corners - corners[:, [1, 2, 0]]).max(axis=1, keepdims=True)
         largest = near.barycentric == near.barycentric.max(axis=1, keepdims=True)  # kept, also of a tiny triangle
@@ -151,21 +152,21 @@ def _gap(
 
     Vertices must coincide; face centres must only be near, since faces of a coarse mesh cut through a fine surface.
     """
-    unit, faces, clothed = source.scale, _on_faces(target, mask), _on_faces(source)
+    unit, faces, source_faces = source.scale, _on_faces(target, mask), _on_faces(source)
     apart, areas = _distances(faces, source, unit, config)
-    if _share(areas, apart < config.near) < config.share:
+    if _share(areas, apart < config.max_distance) < config.min_share:
         return None
     gap = float(areas @ apart / areas.sum())
     # A small target is near the source wherever it lies: the gap is small for the target's own size, too.
-    if gap * target.scale > config.own_gap * unit:
+    if gap * target.scale > config.max_gap_of_target * unit:
         return None
     for samples, other in ((_at_vertices(target, mask), source), (_at_vertices(source), target)):
         distances, areas = _distances(samples, other, unit, config)
         close = areas @ distances <= config.mean_gap * areas.sum()
-        if close and _share(areas, distances < config.max_gap) >= config.share:
+        if close and _share(areas, distances < config.max_gap) >= config.min_share:
             return gap
-    covered = _share(clothed.areas, _distances(clothed, target, unit, config)[0] < config.near)
-    return gap if covered < config.clothed else None
+    covered = _share(source_faces.areas, _distances(source_faces, target, unit, config)[0] < config.max_distance)
+    return gap if covered < config.max_clothes_cover else None
 
 
 def _share(areas: FloatArray, chosen: NDArray[np.bool_]) -> float:
@@ -176,9 +177,10 @@ def _share(areas: FloatArray, chosen: NDArray[np.bool_]) -> float:
 def _distances(
     samples: SurfaceSamples, other: TriangleSurface, unit: float, config: CoincidenceConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) distances to a surface's nearest points with similar normals, times ``unit``, at most ``near``; (k,) areas.
+    """(k,) distances to a surface's nearest points with similar normals, times ``unit``, and areas (k,).
 
-    Areas are 0 beyond the surface's boundary, as in front of a hole of a scan, if that leaves ``min_within_boundary``.
+    Distances are at most ``max_distance``. Areas are 0 beyond the surface's boundary, as in front of a hole of a scan,
+    if that leaves ``min_within_boundary``.
     """
     is_open = other.is_open and config.min_within_boundary < 1.0
     triangle, barycentric, far = closest_points(
@@ -186,9 +188,9 @@ def _distances(
         other.scale * samples.points,
         samples.normals,
         minimum_cosine=0.0,
-        within=np.inf if is_open else config.near * other.scale / unit,
+        within=np.inf if is_open else config.max_distance * other.scale / unit,
     )
-    distances = np.minimum(far * unit / other.scale, config.near)
+    distances = np.minimum(far * unit / other.scale, config.max_distance)
     if is_open:
         beyond = (triangle >= 0) & (distances > config.max_gap) & other.at_boundary(triangle, barycentric)
         if _share(samples.areas, ~beyond) >= config.min_within_boundary:

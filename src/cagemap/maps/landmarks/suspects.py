@@ -37,7 +37,7 @@ LANDMARKS_AT_ONCE = 32  # number of landmarks whose blocks of H are computed at 
 # Geodesic distances (p, m) from p landmarks on one surface to the vertices of a coarse graph, the landmarks first
 # (`cagemap.deform.problem.Problem.landmark_distances`).
 Distances = FloatArray
-Marks = tuple[FloatArray, FloatArray]  # positions and unit normals (p, 3) of landmarks on one surface
+Points = tuple[FloatArray, FloatArray]  # positions and unit normals (p, 3) of landmarks on one surface
 System = tuple[sparse.csc_array, FloatArray]  # K (m, m) and b (m,) of ``z^T K z - 2 z^T b`` of the strain
 
 
@@ -48,18 +48,13 @@ def misplaced_pairs(target: Distances, source: Distances, config: LandmarkConfig
     """
     trusted, wrong = np.arange(len(target)), list[int]()
     max_suspected, at_once = config.max_suspects * len(trusted), max(1, len(trusted) // config.one_of)
-    while len(trusted) > config.fewest_judged and len(wrong) <= max_suspected:
-        exchanged = best_exchanges(target, source, trusted, at_once, config)
-        if not exchanged:
-            break
-        wrong.extend(exchanged)
-        trusted = np.setdiff1d(trusted, exchanged)
-    while len(trusted) >= config.fewest_judged and len(wrong) <= max_suspected:
-        misplaced = worst_placed_pairs(target, source, trusted, at_once, config)
-        if not misplaced:
-            break
-        wrong.extend(misplaced)
-        trusted = np.setdiff1d(trusted, misplaced)
+    for search, fewest in ((best_exchanges, config.fewest_judged + 1), (worst_placed_pairs, config.fewest_judged)):
+        while len(trusted) >= fewest and len(wrong) <= max_suspected:
+            found = search(target, source, trusted, at_once, config)
+            if not found:
+                break
+            wrong.extend(found)
+            trusted = np.setdiff1d(trusted, found)
     return np.array(wrong, dtype=np.int64)
 
 
@@ -183,7 +178,7 @@ def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 
 def exchanged_sides(
-    distances: tuple[Distances, Distances], target: Marks, source: Marks, config: LandmarkConfig = LandmarkConfig()
+    distances: tuple[Distances, Distances], target: Points, source: Points, config: LandmarkConfig = LandmarkConfig()
 ) -> tuple[int, int] | None:
     """The two pairs whose orientations agree only with source points exchanged; None if there are none."""
     p = len(target[0])
@@ -205,19 +200,22 @@ def exchanged_sides(
     return best
 
 
-def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near: FloatArray, flat: float) -> float:
+def agreement_around(places: tuple[int, int], target: Points, source: Points, near: FloatArray, flat: float) -> float:
     """`orientation_agreement` of triples with one of two landmarks, weighted by nearness (p, p): bodies bend."""
     agreed = counted = asked = 0.0
     for i in places:
-        for turns, weights in ((_turns, near[i, :, None] * near[i]), (_turns_to, near[:, i, None] * near)):
-            votes = turns(i, *target) * turns(i, *source) * weights
+        for measured, weights in (
+            (_orientations, near[i, :, None] * near[i]),
+            (_orientations_at, near[:, i, None] * near),
+        ):
+            votes = measured(i, *target) * measured(i, *source) * weights
             agreed += float(votes.sum())
             counted += float(np.abs(votes).sum())
             asked += float(weights.sum())
     return agreed / max(counted, flat * asked, 1e-12)
 
 
-def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig = LandmarkConfig()) -> float:
+def orientation_agreement(target: Points, source: Points, config: LandmarkConfig = LandmarkConfig()) -> float:
     """Agreement of the landmarks' orientation on both surfaces: 1 the same, -1 mirrored, 0 unknown.
 
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
@@ -230,19 +228,19 @@ def orientation_agreement(target: Marks, source: Marks, config: LandmarkConfig =
     agreed = counted = 0.0
     for i in range(p):
         alike = np.exp(-(changed[i, :, None] + changed[i] + changed) / config.max_triple_change**2)
-        votes = alike * _turns(i, *target) * _turns(i, *source)
+        votes = alike * _orientations(i, *target) * _orientations(i, *source)
         agreed += float(votes.sum())
         counted += float(np.abs(votes).sum())
     return agreed / max(counted, config.min_orientation * p * (p - 1) * (p - 2), 1e-12)
 
 
-def _turns(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
+def _orientations(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark i."""
     units = normalize_rows(positions - positions[i])
     return np.asarray(np.cross(normals[i], units) @ units.T)
 
 
-def _turns_to(j: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
+def _orientations_at(j: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark j."""
     units = normalize_rows(positions[None] - positions[:, None])
     return np.asarray(np.einsum("id,ikd->ik", np.cross(normals, units[:, j]), units))

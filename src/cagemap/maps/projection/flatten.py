@@ -10,7 +10,7 @@ there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -34,8 +34,7 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
 
-@dataclass(frozen=True, eq=False)
-class Disc:
+class Disc(NamedTuple):
     """A piece of a surface that is topologically a disc."""
 
     vertices: IndexArray  # (n,) of the surface
