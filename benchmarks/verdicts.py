@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cagemap.maps.hypotheses.confidence import JUMPING, LOOK, SURE, WARNING_SIGNS
+from cagemap.maps.hypotheses.confidence import JUMPING, LOOK, SIGN_BOUNDS, SURE
 from cagemap.maps.result import MatchResult
 
 # Normal quantile of a two-sided interval of 95 %.
@@ -55,7 +55,7 @@ def table(groups: Mapping[str, list[dict]]) -> list[str]:
     lines += ["", "| sign | right maps doubted | by it alone | wrong maps doubted | by it alone |"]
     lines += ["| --- | --- | --- | --- | --- |"]
     wrong = [beyond(row) for row in every if not row["right"]]
-    for sign in WARNING_SIGNS:
+    for sign in SIGN_BOUNDS:
         cells = [n for some in (doubted, wrong) for n in (sum(sign in one for one in some), some.count([sign]))]
         lines.append(f"| {sign} | {' | '.join(map(str, cells))} |")
     lines += ["", "Sure and wrong:"]
@@ -69,7 +69,7 @@ def table(groups: Mapping[str, list[dict]]) -> list[str]:
 
 def beyond(row: dict) -> list[str]:
     """Names of the signs that are beyond their bounds."""
-    return [name for name, sign in WARNING_SIGNS.items() if row["signs"].get(name, 0.0) > sign.bound]
+    return [name for name, bound in SIGN_BOUNDS.items() if row["signs"].get(name, 0.0) > bound]
 
 
 def _share(count: int, total: int) -> str:

@@ -9,7 +9,13 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig, Stage
-from cagemap.deform.data import PlacementConstraints, SourceSamples, curved_points, round_trip_weights, source_to_target
+from cagemap.deform.data import (
+    PlacementConstraints,
+    SurfaceSamples,
+    curved_points,
+    round_trip_weights,
+    source_to_target,
+)
 from cagemap.deform.energy import conjugate_gradients
 from cagemap.deform.fit import coarse_fit, fine_fit, landmark_start
 from cagemap.deform.graph import ElasticGraph, cluster_graph, connected_cells, mesh_graph
@@ -74,19 +80,20 @@ def test_what_source_vertices_ask_is_the_sum_over_their_triangles_corners(creatu
     refinement, scale = creature_at_3
     graph, mesh = graph_of(refinement, scale, 1)
     sheet, split = mesh_of(refinement, scale, 3), mesh.triangles
-    samples = SourceSamples.choose(sheet, 300)
+    samples = SurfaceSamples.at_vertices(sheet, 300)
     assert samples.areas.sum() == pytest.approx(1)
     rng = np.random.default_rng(20)
     positions = graph.positions + 0.01 * rng.standard_normal((graph.n, 3))
     normals = vertex_normals(positions, split)
     closest = graph.positions
     *term, _ = source_to_target(mesh, samples, positions, normals, closest=closest, alpha=1e-4)
-    found, weights, _ = closest_points(build_tree(positions, split), samples.points, samples.planes, normal_weight=0.03)
+    tree = build_tree(positions, split)
+    found, weights, _ = closest_points(tree, samples.points, samples.normals, normal_weight=0.03)
     facing = normalize_rows(triangle_normals(positions, split))[found]
     blocks, right, received = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3)), np.zeros(graph.n)
     for j, corners in enumerate(split[found]):
         plane, foot = (
-            samples.planes[j],
+            samples.normals[j],
             curved_points(positions[corners][None], normals[corners][None], weights[[j]])[0],
         )
         residual = plane @ (samples.points[j] - foot)

@@ -17,7 +17,7 @@ from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import (
     edge_stiffness,
     finish_placement,
-    fit_in_pose,
+    fit_from_shape,
     largest_limb_rotation,
     pose_difference,
     rigid_pose,
@@ -178,7 +178,7 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
     monkeypatch.setattr("cagemap.deform.refit.coarse_fit", fitted)
     assert pose_difference(bent.energy, truth) > POSES_DIFFER
     slid = fine_fit(problem, truth)
-    found = fit_in_pose(problem, slid)
+    found = fit_from_shape(problem, rigid_pose(bent.energy.graph, slid))
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
     assert before > 0.004  # the minimum beside the truth
     assert after < 0.75 * before
@@ -195,7 +195,8 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(bent, monkeypatch, 
         return positions
 
     monkeypatch.setattr(refit, "pose_difference", lambda energy, positions: angle)
-    monkeypatch.setattr(refit, "fit_in_pose", fitted)
+    monkeypatch.setattr(refit, "rigid_pose", lambda graph, positions, config: positions)
+    monkeypatch.setattr(refit, "fit_from_shape", fitted)
     monkeypatch.setattr(refit, "fine_fit", lambda problem, start: start)
     ended = Placement(bent.source.finest_triangles.positions, 1e-4)
     landmarks = problem.landmarks

@@ -13,7 +13,7 @@ from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST, file_hash, landmark_messages, mesh_hash, note_transfer, sure_message
 from cagemap.files.result.merged_parts import merge_results
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, WARNING_SIGNS, Confidence
+from cagemap.maps.hypotheses.confidence import LOOK, SIGN_BOUNDS, SURE, TWO, Confidence
 from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
@@ -233,7 +233,7 @@ def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: 
 
 def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResult, tmp_path: Path) -> None:
     """Bounds of signs change, and older results have none."""
-    answers, bound = (Placement(result.point_map.images.positions, 1e-4, name=""),), WARNING_SIGNS["stretched"].bound
+    answers, bound = (Placement(result.point_map.images.positions, 1e-4, name=""),), SIGN_BOUNDS["stretched"]
     for name, value, verdict in (("much", bound + 0.1, LOOK), ("little", bound, SURE)):
         given = Confidence(SURE, answers, {"cost": 1.0, "stretched": value})
         write_result(tmp_path / name, replace(result, confidence=given))

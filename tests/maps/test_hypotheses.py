@@ -219,9 +219,9 @@ def found(
 
     monkeypatch.setattr(search, "fit_from_two_starts", lambda *given: ([beside], [] if agree else [beside]))
     monkeypatch.setattr(search, "spectral_starts", lambda problem, clusters: lambda placed: [])
-    monkeypatch.setattr(search, "refine_cheapest", lambda problem, coarse, fine: fine)
+    monkeypatch.setattr(search, "refine_cheapest", lambda problem, coarse, fine=(): fine or coarse)
     monkeypatch.setattr(search, "fit_small_graph", fit_small_graph)
-    monkeypatch.setattr(search, "fit_without_tips", lambda problem, small_fits: [evaluate_placement(prepared, places)])
+    monkeypatch.setattr(search, "fit_without_tips", lambda *given: [[evaluate_placement(prepared, places)]])
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)
     monkeypatch.setattr(search, "finish_placement", lambda problem, placed: placed)
     return search.search_placements(problem, start=start), asked
@@ -246,10 +246,11 @@ def test_costs_below_the_floor_are_ties(prepared: PreparedPair, monkeypatch: pyt
     places, floor = prepared.energy.graph.positions, search.cost_floor(prepared)
     as_filed, turned = Placement(places, 0.9 * floor), Placement(places, 0.1 * floor, penalty=1.1)
     monkeypatch.setattr(search, "fit_small_graph", lambda *given: ([], []))
-    monkeypatch.setattr(search, "fit_without_tips", lambda *given: [turned, as_filed])
+    monkeypatch.setattr(search, "fit_without_tips", lambda *given: [[turned], [as_filed]])
+    monkeypatch.setattr(search, "refine_cheapest", lambda problem, coarse: coarse)
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)
     monkeypatch.setattr(search, "finish_placement", lambda problem, placed: placed)
-    assert search.search_placements(Problem.of_landmarks(prepared, Landmarks.none()))[0] is as_filed
+    assert search.search_placements(Problem.of_landmarks(prepared, Landmarks.none()))[0].cost == as_filed.cost
 
 
 @pytest.mark.slow
@@ -318,7 +319,7 @@ def test_assignments_of_limbs_that_cost_much_more_are_refined_with_landmarks_onl
     monkeypatch.setattr(search, "fit_small_graph", lambda *given: (small_fits, []))
     monkeypatch.setattr(search, "fit_without_tips", lambda *given: [])
     monkeypatch.setattr(search, "spectral_starts", lambda problem, clusters: lambda placed: [])
-    monkeypatch.setattr(search, "refine_cheapest", lambda problem, coarse, fine: fine)
+    monkeypatch.setattr(search, "refine_cheapest", lambda problem, coarse, fine=(): fine or coarse)
     monkeypatch.setattr(search, "refit_distinct_to_tips", lambda problem, ranked: ranked)
     search.search_placements(problem, finish=False)
     assert refined == (list(costs) if kept is None else kept)

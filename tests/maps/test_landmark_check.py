@@ -15,7 +15,7 @@ from cagemap.files.result.manifest import landmark_messages
 from cagemap.maps.hypotheses.confidence import TWO
 from cagemap.maps.landmarks import check
 from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
-from cagemap.maps.landmarks.outliers import exchanged_sides, misplaced_pairs, orientation_agreement, place_by_distances
+from cagemap.maps.landmarks.suspects import exchanged_sides, misplaced_pairs, orientation_agreement, place_by_distances
 from cagemap.maps.pair import Pair, no_progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh

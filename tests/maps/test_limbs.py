@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cagemap.deform import refit
 from cagemap.deform.config import SearchConfig
-from cagemap.deform.data import SourceSamples, source_to_clusters
+from cagemap.deform.data import SurfaceSamples, source_to_clusters
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.deform.placement import Placement
@@ -20,7 +20,7 @@ from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import finish_placement
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.maps.hypotheses import search
-from cagemap.maps.hypotheses.confidence import LOOK, TWO, WARNING_SIGNS, turned_limb_answers, turned_share
+from cagemap.maps.hypotheses.confidence import LOOK, SIGN_BOUNDS, TWO, turned_limb_answers, turned_share
 from cagemap.maps.hypotheses.search import fit_small_graph
 from cagemap.maps.hypotheses.starts import (
     assigned_limbs,
@@ -202,7 +202,7 @@ def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
 def test_a_fit_is_led_to_tips_that_it_missed(surface, prepared, monkeypatch):
     held = []
 
-    def fitted(problem: Problem, start: FloatArray, clusters: Clusters, samples: SourceSamples) -> Placement:
+    def fitted(problem: Problem, start: FloatArray, clusters: Clusters, samples: SurfaceSamples) -> Placement:
         held.append((clusters.energy.graph.positions[: len(clusters.constraints.places)], clusters.constraints.places))
         return coarse_fit(problem, start, clusters, samples)
 
@@ -251,7 +251,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     feet, ground = start[:, 1] < start[:, 1].min() + 0.02, sheet.positions[:, 1].min()
     assert (start[feet, 1] > ground + 0.35).all()
 
-    def above_ground(samples: SourceSamples | None) -> float:
+    def above_ground(samples: SurfaceSamples | None) -> float:
         ended = coarse_fit(problem, start, clusters, samples)
         return float((ended.positions[feet, 1] - ground).mean())
 
@@ -266,7 +266,7 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     ball = TriangleSurface.from_faces(round_, finest.faces)
     graph = cluster_graph(mesh_graph(ball, finest.faces), 100, np.zeros(0, dtype=np.int64))[0]
     outward = graph.positions / np.linalg.norm(graph.positions, axis=1, keepdims=True)
-    around = SourceSamples.choose(ball, 4000)
+    around = SurfaceSamples.at_vertices(ball, 4000)
     places = graph.positions, outward
     blocks, right = source_to_clusters(around, *places)
     weights = np.trace(blocks, axis1=1, axis2=2)
@@ -274,7 +274,7 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     radial = np.einsum("ka,ka->k", forces, outward)
     assert (radial < 1e-4 * weights).all()
     np.testing.assert_allclose(weights.sum(), 1.0, atol=0.05)
-    inside = replace(around, planes=-around.planes)
+    inside = around._replace(normals=-around.normals)
     assert source_to_clusters(inside, *places)[0].max() == 0.0
 
 
@@ -291,7 +291,7 @@ def test_another_map_as_good_that_turns_a_limb_is_named_where_it_differs_most() 
         return np.where(front[:, None], turn.apply(places - axis) + axis, places)
 
     turned = rotated(0.2, 90.0)
-    bound = WARNING_SIGNS["limb_turned"].bound
+    bound = SIGN_BOUNDS["limb_turned"]
     assert turned_share(prepared.mesh, places, turned) > bound
     best, cheap, dear = Placement(places, 1e-4), Placement(turned, 1.1e-4), Placement(turned, 1.3e-4)
     doubt = turned_limb_answers((best, cheap), prepared)

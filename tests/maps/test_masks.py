@@ -9,7 +9,7 @@ from examples.shapes import cube, icosahedron, pyramid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cagemap.deform.data import SourceSamples, source_to_target, target_to_source
+from cagemap.deform.data import SurfaceSamples, source_to_target, target_to_source
 from cagemap.deform.graph import mesh_graph
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import write_image
@@ -101,7 +101,7 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
     blocks, _, closest = target_to_source(graph.areas, nearest, surface.vertex_normals, masks)
     ends = low * masks.source  # every vertex of the ball lies over itself
     np.testing.assert_allclose(blocks, plain * ends[:, None, None], atol=1e-9)
-    pullers = SourceSamples.choose(surface, surface.n, masks)
+    pullers = SurfaceSamples.at_vertices(surface, surface.n, masks.source)
     places = surface, pullers, moved, surface.vertex_normals
     _, _, back, _ = source_to_target(*places, closest=closest, alpha=1e-3, masks=masks)
     # Around the mask's border a puller's foot has corners on both sides.

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from cagemap import BasisConfig
 from cagemap.deform.problem import Problem
 from cagemap.files.meshes.obj import read_obj
-from cagemap.maps.hypotheses.confidence import SURE, TWO, WARNING_SIGNS, Confidence, mirrored_gain
+from cagemap.maps.hypotheses.confidence import SIGN_BOUNDS, SURE, TWO, Confidence, mirrored_gain
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks
@@ -71,7 +71,7 @@ def test_a_chair_is_surely_a_chair_however_it_is_turned() -> None:
     errors = np.linalg.norm(result.point_map.images.positions - result.point_map.source.positions, axis=1)
     assert confidence.verdict == SURE, confidence.summary()
     assert confidence.answers[0].name == "turned 90 degrees about y"
-    assert confidence.signs["mirrored"] < WARNING_SIGNS["mirrored"].bound
+    assert confidence.signs["mirrored"] < SIGN_BOUNDS["mirrored"]
     assert errors.mean() < 0.02
 
 
@@ -93,8 +93,8 @@ def test_a_corner_of_three_arms_with_a_curve_fits_its_mirror_image_better() -> N
     chain = np.flatnonzero(along_an_arm)[np.argsort(corner.positions[along_an_arm, 0])]
     edge = CurvePair.of_vertices("edge", chain, chain, closed=False)
     wrong, right = gains(corner, 2, replace(Landmarks.none(), curves=(edge,)))
-    assert wrong > 3 * WARNING_SIGNS["mirrored"].bound
-    assert right < 0.5 * WARNING_SIGNS["mirrored"].bound
+    assert wrong > 3 * SIGN_BOUNDS["mirrored"]
+    assert right < 0.5 * SIGN_BOUNDS["mirrored"]
 
 
 @pytest.mark.slow
@@ -102,8 +102,8 @@ def test_a_stride_with_the_other_foot_fits_its_mirror_image_better(shared_data: 
     """In the wrong map the hips are twisted by half a turn and the legs exchanged; head and arms are right."""
     walker = read_obj(shared_data / "humans/posed/proxy741_male_young_stride.obj")
     wrong, right = gains(walker, 1, Landmarks.none())
-    assert wrong > 3 * WARNING_SIGNS["mirrored"].bound
-    assert right < 0.5 * WARNING_SIGNS["mirrored"].bound
+    assert wrong > 3 * SIGN_BOUNDS["mirrored"]
+    assert right < 0.5 * SIGN_BOUNDS["mirrored"]
 
 
 @pytest.mark.slow

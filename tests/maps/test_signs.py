@@ -14,9 +14,9 @@ from cagemap.files.result.merged_parts import merge_results
 from cagemap.maps.hypotheses.confidence import (
     JUMPING,
     LOOK,
+    SIGN_BOUNDS,
     SURE,
     TWO,
-    WARNING_SIGNS,
     Confidence,
     answer_confidence,
     describe_signs,
@@ -78,11 +78,11 @@ def across(surface: Surface) -> tuple[PointMap, FloatArray]:
     return map_to(surface, places), lower
 
 
-@pytest.mark.parametrize("name", WARNING_SIGNS)
+@pytest.mark.parametrize("name", SIGN_BOUNDS)
 def test_each_sign_alone_is_a_doubt_beyond_its_bound(name: str) -> None:
     answers = (Placement(np.zeros((4, 3)), 0.0, name="as the files stand"),)
-    assert Confidence.of(answers, np.arange(3), {name: WARNING_SIGNS[name].bound}).verdict == SURE
-    doubt = Confidence.of(answers, np.arange(3), {name: 1.1 * WARNING_SIGNS[name].bound})
+    assert Confidence.of(answers, np.arange(3), {name: SIGN_BOUNDS[name]}).verdict == SURE
+    doubt = Confidence.of(answers, np.arange(3), {name: 1.1 * SIGN_BOUNDS[name]})
     assert doubt.verdict == LOOK
     assert describe_signs(doubt.signs)[0] in doubt.message
 

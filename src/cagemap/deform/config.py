@@ -155,14 +155,14 @@ class CoincidenceConfig(Config):
     """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area)."""
 
     mean_gap: float = 0.003  #: largest mean distance of vertices from the other mesh
-    max_gap: float = 0.01  #: distance within which `share` of them lie; one body has up to 0.0085, two from 0.048 on
-    near: float = 0.03  #: a point farther from the other surface is not on it
+    max_gap: float = 0.01  #: distance of `min_share` of them; one body has up to 0.0085, two from 0.048 on
+    max_distance: float = 0.03  #: a point farther from the other surface is not on it
     #: largest mean distance, of sqrt(target area): eyes have up to 0.21, a chair in metres at one in millimetres 0.33
-    own_gap: float = 0.25
-    share: float = 0.95  #: least share of the target that is on the source, of what is not beyond its boundary
-    shared: float = 0.8  #: least share of the target that is not beyond the source's boundary, as in front of a hole
-    clothed: float = 0.6  #: least share of the source that is covered; clothes cover 0.34 to 0.5, a second body 0.81
-    reach: float = 0.1  #: search radius of closest points that face the same way
+    max_gap_of_target: float = 0.25
+    min_share: float = 0.95  #: least share of the target that is on the source, of what is not beyond its boundary
+    min_within_boundary: float = 0.8  #: least share of the target that is not in front of a hole of the source
+    max_clothes_cover: float = 0.6  #: clothes cover less of the source, 0.34 to 0.5; a second body covers 0.81
+    search_radius: float = 0.1  #: of closest points that face the same way
     # Motions
     moved_gap: float = 0.001  #: largest mean distance of a moved target; another shape, 4 % longer, can have 0.0029
     max_moment_change: float = 0.05  #: largest relative difference of the deviations along principal axes

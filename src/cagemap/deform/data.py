@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -25,7 +26,6 @@ from cagemap.maps.masks import WHOLE, Masks
 from cagemap.mesh.curves import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, places_of
 from cagemap.numerics.factorization import Factorization
-from cagemap.numerics.threads import kept
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.polylines import Polyline, normal_projections
@@ -33,26 +33,20 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
 
-@dataclass(frozen=True, eq=False)
-class SourceSamples:
-    """Sampled vertices of the source that should be on the target."""
+class SurfaceSamples(NamedTuple):
+    """Points (m, 3) of a surface, with normals (m, 3) and the areas (m,) that they stand for."""
 
-    points: FloatArray  # (m, 3)
-    planes: FloatArray  # (m, 3): unit normals
-    areas: FloatArray  # (m,): sum 1, times the source's mask
+    points: FloatArray
+    normals: FloatArray
+    areas: FloatArray
 
     @classmethod
-    def choose(cls, source: TriangleSurface, count: int, masks: Masks = WHOLE) -> SourceSamples:
-        """Sample vertices of a source, evenly spaced by number."""
-        chosen = evenly_spaced_vertices(len(source.positions), count)
-        areas = source.vertex_areas[chosen]
-        shares = areas / areas.sum() * masks.of_source(source.n)[chosen]
-        return cls(source.positions[chosen], source.vertex_normals[chosen], shares)
-
-    @kept
-    def outer(self) -> FloatArray:
-        """(m, 9) products of every normal with itself."""
-        return (self.planes[:, :, None] * self.planes[:, None, :]).reshape(-1, 9)
+    def at_vertices(cls, surface: TriangleSurface, count: int, weights: FloatArray | None = None) -> SurfaceSamples:
+        """Vertices evenly spaced by number; areas have the sum 1, times weights (n,) of all vertices."""
+        chosen = evenly_spaced_vertices(surface.n, count)
+        areas = surface.vertex_areas[chosen]
+        shares = areas / areas.sum() * (1.0 if weights is None else weights[chosen])
+        return cls(surface.positions[chosen], surface.vertex_normals[chosen], shares)
 
 
 def target_to_source(
@@ -77,7 +71,7 @@ def target_to_source(
 
 def source_to_target(
     target: TriangleSurface,
-    samples: SourceSamples,
+    samples: SurfaceSamples,
     positions: FloatArray,
     normals: FloatArray,
     closest: FloatArray,
@@ -97,14 +91,14 @@ def source_to_target(
     The residual r = n . (q - sum_k b_k x_k) of a source vertex q is given to each corner of the triangle that holds its
     closest point, with weight b_k: an upper bound of the true term (Jensen), equal at the current positions.
     """
-    points, planes = samples.points, samples.planes
+    points, planes, areas = samples
     tree = build_tree(positions, target.triangles)
     triangles, barycentric, _ = closest_points(tree, points, planes, normal_weight=config.normal_weight, guess=guess)
     corners = target.triangles[triangles]
     own_closest = curved_points(positions[corners], normals[corners], barycentric)
     residual = np.einsum("nd,nd->n", planes, points - own_closest)
     facing = tree.normals_of(triangles)
-    shares = samples.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
+    shares = areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
     trips = np.einsum("mk,mkd->md", barycentric, closest[corners]) - points
     shares *= round_trip_weights(trips, residual, alpha, config.data) * ~target.at_boundary(triangles, barycentric)
     if masks.target is not None:
@@ -114,14 +108,15 @@ def source_to_target(
         ((shares[:, None] * barycentric).ravel(), corners.ravel(), 3 * np.arange(len(points) + 1)),
         shape=(len(positions), len(points)),
     )
-    gathered = gather @ np.hstack([samples.outer, residual[:, None] * planes, np.ones((len(points), 1))])
+    outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
+    gathered = gather @ np.hstack([outer, residual[:, None] * planes, np.ones((len(points), 1))])
     blocks = gathered[:, :9].reshape(-1, 3, 3)
     right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
     return blocks, right, gathered[:, 12], triangles
 
 
 def source_to_clusters(
-    samples: SourceSamples,
+    samples: SurfaceSamples,
     positions: FloatArray,
     normals: FloatArray,
     masks: Masks = WHOLE,
@@ -132,11 +127,11 @@ def source_to_clusters(
     Only source-to-target terms detect a short leg inside a long one. The plane has the mean of both normals (symmetric
     ICP, Rusinkiewicz 2019).
     """
-    points, planes = samples.points, samples.planes
+    points, planes, areas = samples
     tree = cKDTree(np.hstack([positions, config.normal_weight * normals]))
     nearest = np.asarray(tree.query(np.hstack([points, config.normal_weight * planes]))[1], dtype=np.int64)
     between, facing = normalize_rows(planes + normals[nearest]), np.einsum("md,md->m", planes, normals[nearest])
-    shares = samples.areas * np.clip(facing, 0.0, 1.0) * masks.of_target(len(positions))[nearest]
+    shares = areas * np.clip(facing, 0.0, 1.0) * masks.of_target(len(positions))[nearest]
     planes_between = between[:, :, None] * between[:, None, :]
     right = np.einsum("mab,mb->ma", planes_between, points)
     terms = np.hstack([planes_between.reshape(-1, 9), right])
@@ -155,6 +150,17 @@ def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatAr
     return np.asarray(flat + 0.5 * np.einsum("mk,mkd->md", barycentric * heights, normals))
 
 
+def round_trip_weights(
+    trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
+) -> FloatArray:
+    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of source points by round trips d (m, 3) (Geman and McClure 1985).
+
+    The scale s is smaller for points inside the deformed target, because it does not expand inwards.
+    """
+    scale = np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip)
+    return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)
+
+
 def received_weights(
     smoother: Factorization, received: FloatArray, config: DataConfig = DataConfig(), *, of_parts: bool
 ) -> FloatArray:
@@ -169,32 +175,39 @@ def received_weights(
     return np.clip((density - none) / (full - none), 0.0, 1.0)
 
 
-def round_trip_weights(
-    trips: FloatArray, heights: FloatArray, alpha: float, config: DataConfig = DataConfig()
-) -> FloatArray:
-    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of source points by round trips d (m, 3) (Geman and McClure 1985).
+@dataclass(frozen=True, eq=False)
+class PlacementConstraints:
+    """Points and curves of a graph with their counterparts on the source."""
 
-    The scale s is smaller for points inside the deformed target, because it does not expand inwards.
-    """
-    scale = np.where(heights > 0, config.outside_trips * np.sqrt(alpha), config.inside_trip)
-    return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)
+    anchors: CagePoints  # (p,) points of the graph's mesh
+    places: FloatArray  # (p, 3) positions of these points on the source
+    curves: tuple[CurveConstraint, ...] = ()
 
+    def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Add the terms of curves and points to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+        self.add_curves(blocks, right, positions, config)
+        self.add_points(blocks, right, positions, config)
 
-def add_to_corners(
-    points: CagePoints,
-    terms: FloatArray,
-    forces: FloatArray,
-    blocks: FloatArray,
-    right: FloatArray,
-    positions: FloatArray,
-) -> None:
-    """Add ``(sum_k b_k x_k - y)^T B (sum_k b_k x_k - y)`` of points to a data term (n, 3, 3), (n, 3), by their corners.
+    def add_curves(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Add the terms of curves alone."""
+        for curve in self.curves:
+            terms, forces = (config.curve_weight * part for part in curve.terms(positions))
+            add_to_corners(curve.anchors, terms, forces, blocks, right, positions)
 
-    ``terms`` are B (p, 3, 3), ``forces`` are B (y - sum_k b_k x_k) (p, 3).
-    """
-    at_corners = np.einsum("pab,pkb->pka", terms, positions[points.corners]) + forces[:, None]
-    np.add.at(blocks, points.corners, points.weights[:, :, None, None] * terms[:, None])
-    np.add.at(right, points.corners, points.weights[:, :, None] * at_corners)
+    def add_points(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Add the terms of points alone.
+
+        A point at a vertex replaces the vertex's other terms. Between vertices, ``|sum_k b_k x_k - y|^2`` gives every
+        corner the residual with weight b_k, as in `source_to_target`.
+        """
+        weight, at_vertex = config.landmark_weight, self.anchors.weights[:, 0] == 1.0
+        vertices = self.anchors.corners[at_vertex, 0]
+        blocks[vertices] = weight * np.eye(3)
+        right[vertices] = weight * self.places[at_vertex]
+        between = self.anchors.at(np.flatnonzero(~at_vertex))
+        missed = self.places[~at_vertex] - between.of(positions)
+        terms = np.tile(weight * np.eye(3), (len(missed), 1, 1))
+        add_to_corners(between, terms, weight * missed, blocks, right, positions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,6 +246,23 @@ class CurveConstraint:
         return CurveConstraint(CagePoints.of_vertices(vertices[rows]), rest, self.source)
 
 
+def add_to_corners(
+    points: CagePoints,
+    terms: FloatArray,
+    forces: FloatArray,
+    blocks: FloatArray,
+    right: FloatArray,
+    positions: FloatArray,
+) -> None:
+    """Add ``(sum_k b_k x_k - y)^T B (sum_k b_k x_k - y)`` of points to a data term (n, 3, 3), (n, 3), by their corners.
+
+    ``terms`` are B (p, 3, 3), ``forces`` are B (y - sum_k b_k x_k) (p, 3).
+    """
+    at_corners = np.einsum("pab,pkb->pka", terms, positions[points.corners]) + forces[:, None]
+    np.add.at(blocks, points.corners, points.weights[:, :, None, None] * terms[:, None])
+    np.add.at(right, points.corners, points.weights[:, :, None] * at_corners)
+
+
 def constrained_clusters(
     curves: Sequence[CurveConstraint], constrained: IndexArray, vertices: int, config: DataConfig
 ) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
@@ -244,38 +274,3 @@ def constrained_clusters(
     place = places_of(distinct, int(distinct.max(initial=-1)) + 1)
     on_clusters = tuple(replace(curve, anchors=curve.anchors.renumbered(place.__getitem__)) for curve in thinned)
     return distinct, on_clusters
-
-
-@dataclass(frozen=True, eq=False)
-class PlacementConstraints:
-    """Points and curves of a graph with their counterparts on the source."""
-
-    anchors: CagePoints  # (p,) points of the graph's mesh
-    places: FloatArray  # (p, 3) positions of these points on the source
-    curves: tuple[CurveConstraint, ...] = ()
-
-    def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Add the terms of curves and points to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
-        self.add_curves(blocks, right, positions, config)
-        self.add_points(blocks, right, positions, config)
-
-    def add_curves(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Add the terms of curves alone."""
-        for curve in self.curves:
-            terms, forces = (config.curve_weight * part for part in curve.terms(positions))
-            add_to_corners(curve.anchors, terms, forces, blocks, right, positions)
-
-    def add_points(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
-        """Add the terms of points alone.
-
-        A point at a vertex replaces the vertex's other terms. Between vertices, ``|sum_k b_k x_k - y|^2`` gives every
-        corner the residual with weight b_k, as in `source_to_target`.
-        """
-        weight, at_vertex = config.landmark_weight, self.anchors.weights[:, 0] == 1.0
-        vertices = self.anchors.corners[at_vertex, 0]
-        blocks[vertices] = weight * np.eye(3)
-        right[vertices] = weight * self.places[at_vertex]
-        between = self.anchors.at(np.flatnonzero(~at_vertex))
-        missed = self.places[~at_vertex] - between.of(positions)
-        terms = np.tile(weight * np.eye(3), (len(missed), 1, 1))
-        add_to_corners(between, terms, weight * missed, blocks, right, positions)

@@ -33,95 +33,6 @@ Solve = Callable[[FloatArray, FloatArray], FloatArray]  # positions (n, 3) for a
 # From maps (n, 3, 3) and rest normals (n, 3) to the nearest admissible maps, and which of them were bounded (b,).
 Admissible = Callable[[FloatArray, FloatArray], tuple[FloatArray, IndexArray]]
 NO_VERTICES = np.zeros(0, dtype=np.int64)
-
-
-@dataclass(frozen=True, eq=False)
-class ElasticEnergy:
-    """Elastic energy E(x, A) of a graph (`cagemap.deform.graph`), with factors for the maps A.
-
-    The maps solve ``(G_i + epsilon L) a = c``, ``G_i = sum_j w_ij e_ij e_ij^T``: the first term of the energy with A_i
-    instead of A_ij, and a smoothing. It approximates the minimum over A, and decouples into the three rows of A, with
-    one matrix for all.
-    """
-
-    graph: ElasticGraph
-    smoothing: float  # epsilon
-    admissible: Admissible  # what differentials are restricted to: `bounded_maps`, `rotations` or `any_map`
-
-    @kept
-    def factors(self) -> Factorization:
-        """Factors of the (3 n, 3 n) matrix ``G + epsilon L``."""
-        graph, edges = self.graph, self.graph.edges
-        outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
-        blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
-        blocks += RIDGE * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
-        return factor(graph.block_matrix(self.smoothing, blocks))
-
-    def with_rest_shape(self, positions: FloatArray, normals: FloatArray, smoothing: float) -> ElasticEnergy:
-        """The energy of another rest shape: positions and normals (n, 3)."""
-        return replace(self, graph=replace(self.graph, positions=positions, normals=normals), smoothing=smoothing)
-
-    def maps(self, positions: FloatArray) -> FloatArray:
-        """(n, 3, 3) maps A for positions x (n, 3): ``(G + epsilon L) a = c``, before they are restricted."""
-        transposed = self.factors.solve(self.graph.moments @ positions)  # rows (i, b), columns a: A_i[a, b]
-        return np.ascontiguousarray(transposed.reshape(-1, 3, 3).transpose(0, 2, 1))
-
-    def differentials(self, positions: FloatArray) -> Differentials:
-        """(n, 3, 3) admissible maps for positions x (n, 3), and which of them were bounded."""
-        return self.admissible(self.maps(positions), self.graph.normals)
-
-
-def bounded_energy(graph: ElasticGraph, smoothing: float, config: GraphConfig) -> ElasticEnergy:
-    """Elastic energy of a graph whose differentials are bounded, see `bounded_maps`."""
-    return ElasticEnergy(graph, smoothing, partial(bounded_maps, config=config))
-
-
-@dataclass(frozen=True, eq=False)
-class VertexTerms:
-    """Terms ``sum_i x_i^T B_i x_i - 2 b_i^T x_i`` of one iteration, or the same in all iterations."""
-
-    energy: ElasticEnergy
-    blocks: FloatArray  # (n, 3, 3): B_i
-    right: FloatArray  # (n, 3): b_i
-    guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)  # triangles of closest points
-    constant: bool = False  # the same in all iterations: one factorisation, in double precision
-
-    def solver(self, alpha: float, stage: Stage, factors: Factorization | None) -> tuple[Factorization, Solve]:
-        """Solver of ``alpha L + B`` by given or new factors; the next iteration corrects errors of inexact factors."""
-        graph, like = self.energy.graph, self.energy.factors
-        matrix = graph.block_matrix(alpha, self.blocks)
-        if self.constant:
-            exact = factor(matrix, like=like)
-            return exact, lambda right, _: exact.solve(right.ravel()).reshape(-1, 3)
-        if factors is not None:
-            return factors, partial(corrected, matrix, partial(conjugate_gradients, matrix, factors, stage))
-        try:
-            factors = factor(matrix, like=like, dtype=np.float32)
-        except SolverError:  # a motion is free, as where nothing of the source faces the positions: damp it
-            ridge = DAMPING * float(abs(matrix.diagonal()).mean()) * np.eye(3)
-            factors = factor(graph.block_matrix(alpha, self.blocks + ridge), like=like, dtype=np.float32)
-        return factors, partial(corrected, matrix, factors.solve)
-
-
-def corrected(
-    matrix: sparse.csc_array, solve: Callable[[FloatArray], FloatArray], right: FloatArray, positions: FloatArray
-) -> FloatArray:
-    """(n, 3) positions (n, 3) moved by an approximate solution for their residual."""
-    return positions + solve(right.ravel() - matrix @ positions.ravel()).reshape(-1, 3)
-
-
-def conjugate_gradients(
-    matrix: sparse.csc_array, factors: Factorization, stage: Stage, residual: FloatArray
-) -> FloatArray:
-    """``A^-1 r`` by conjugate gradients (Hestenes, Stiefel 1952) with old factors; by new ones if they fail."""
-    near = LinearOperator(matrix.shape, matvec=factors.solve, dtype=np.float64)
-    step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradient_steps, M=near)
-    unsolved = stage.max_unsolved * np.linalg.norm(residual)
-    if missed and not np.linalg.norm(residual - matrix @ step) <= unsolved:
-        step = factor(matrix, like=factors).solve(residual)
-    return np.asarray(step)
-
-
 Differentials = tuple[FloatArray, IndexArray]  # maps (n, 3, 3) of positions, and which were bounded (b,)
 
 
@@ -176,14 +87,45 @@ def minimise(
     return np.asarray(before)
 
 
-def any_map(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """All linear maps are admissible: small displacements."""
-    return maps, NO_VERTICES
+@dataclass(frozen=True, eq=False)
+class ElasticEnergy:
+    """Elastic energy E(x, A) of a graph (`cagemap.deform.graph`), with factors for the maps A.
+
+    The maps solve ``(G_i + epsilon L) a = c``, ``G_i = sum_j w_ij e_ij e_ij^T``: the first term of the energy with A_i
+    instead of A_ij, and a smoothing. It approximates the minimum over A, and decouples into the three rows of A, with
+    one matrix for all.
+    """
+
+    graph: ElasticGraph
+    smoothing: float  # epsilon
+    admissible: Admissible  # what differentials are restricted to: `bounded_maps`, `rotations` or `any_map`
+
+    @kept
+    def factors(self) -> Factorization:
+        """Factors of the (3 n, 3 n) matrix ``G + epsilon L``."""
+        graph, edges = self.graph, self.graph.edges
+        outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
+        blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
+        blocks += RIDGE * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
+        return factor(graph.block_matrix(self.smoothing, blocks))
+
+    def with_rest_shape(self, positions: FloatArray, normals: FloatArray, smoothing: float) -> ElasticEnergy:
+        """The energy of another rest shape: positions and normals (n, 3)."""
+        return replace(self, graph=replace(self.graph, positions=positions, normals=normals), smoothing=smoothing)
+
+    def maps(self, positions: FloatArray) -> FloatArray:
+        """(n, 3, 3) maps A for positions x (n, 3): ``(G + epsilon L) a = c``, before they are restricted."""
+        transposed = self.factors.solve(self.graph.moments @ positions)  # rows (i, b), columns a: A_i[a, b]
+        return np.ascontiguousarray(transposed.reshape(-1, 3, 3).transpose(0, 2, 1))
+
+    def differentials(self, positions: FloatArray) -> Differentials:
+        """(n, 3, 3) admissible maps for positions x (n, 3), and which of them were bounded."""
+        return self.admissible(self.maps(positions), self.graph.normals)
 
 
-def rotations(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Only rotations are admissible: the energy is as rigid as possible (Sorkine and Alexa 2007)."""
-    return nearest_rotations(maps), NO_VERTICES
+def bounded_energy(graph: ElasticGraph, smoothing: float, config: GraphConfig) -> ElasticEnergy:
+    """Elastic energy of a graph whose differentials are bounded, see `bounded_maps`."""
+    return ElasticEnergy(graph, smoothing, partial(bounded_maps, config=config))
 
 
 def bounded_maps(
@@ -212,6 +154,58 @@ def bounded_maps(
     changed = maps.copy()
     changed[bounded] = (left * stretches[:, None, :]) @ right
     return changed, bounded
+
+
+def any_map(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """All linear maps are admissible: small displacements."""
+    return maps, NO_VERTICES
+
+
+def rotations(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Only rotations are admissible: the energy is as rigid as possible (Sorkine and Alexa 2007)."""
+    return nearest_rotations(maps), NO_VERTICES
+
+
+@dataclass(frozen=True, eq=False)
+class VertexTerms:
+    """Terms ``sum_i x_i^T B_i x_i - 2 b_i^T x_i`` of one iteration, or the same in all iterations."""
+
+    energy: ElasticEnergy
+    blocks: FloatArray  # (n, 3, 3): B_i
+    right: FloatArray  # (n, 3): b_i
+    guesses: tuple[IndexArray | None, IndexArray | None] = (None, None)  # triangles of closest points
+    constant: bool = False  # the same in all iterations: one factorisation, in double precision
+
+    def solver(self, alpha: float, stage: Stage, factors: Factorization | None) -> tuple[Factorization, Solve]:
+        """Solver of ``alpha L + B`` by given or new factors; the next iteration corrects errors of inexact factors."""
+        graph, like = self.energy.graph, self.energy.factors
+        matrix = graph.block_matrix(alpha, self.blocks)
+        if self.constant:
+            exact = factor(matrix, like=like)
+            return exact, lambda right, _: exact.solve(right.ravel()).reshape(-1, 3)
+        step: Callable[[FloatArray], FloatArray]
+        if factors is not None:
+            step = partial(conjugate_gradients, matrix, factors, stage)
+        else:
+            try:
+                factors = factor(matrix, like=like, dtype=np.float32)
+            except SolverError:  # a motion is free, as where nothing of the source faces the positions: damp it
+                ridge = DAMPING * float(abs(matrix.diagonal()).mean()) * np.eye(3)
+                factors = factor(graph.block_matrix(alpha, self.blocks + ridge), like=like, dtype=np.float32)
+            step = factors.solve
+        return factors, lambda right, at: at + step(right.ravel() - matrix @ at.ravel()).reshape(-1, 3)
+
+
+def conjugate_gradients(
+    matrix: sparse.csc_array, factors: Factorization, stage: Stage, residual: FloatArray
+) -> FloatArray:
+    """``A^-1 r`` by conjugate gradients (Hestenes, Stiefel 1952) with old factors; by new ones if they fail."""
+    near = LinearOperator(matrix.shape, matvec=factors.solve, dtype=np.float64)
+    step, missed = cg(matrix, residual, rtol=stage.tolerance, maxiter=stage.gradient_steps, M=near)
+    unsolved = stage.max_unsolved * np.linalg.norm(residual)
+    if missed and not np.linalg.norm(residual - matrix @ step) <= unsolved:
+        step = factor(matrix, like=factors).solve(residual)
+    return np.asarray(step)
 
 
 def transformed_normals(maps: FloatArray, normals: FloatArray) -> FloatArray:

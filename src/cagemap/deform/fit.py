@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cagemap.deform.config import ElasticConfig
 from cagemap.deform.data import (
     PlacementConstraints,
-    SourceSamples,
+    SurfaceSamples,
     received_weights,
     source_to_clusters,
     source_to_target,
@@ -35,7 +35,24 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 
-def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SourceSamples | None) -> Terms:
+def coarse_fit(
+    problem: Problem, start: FloatArray, clusters: Clusters | None = None, samples: SurfaceSamples | None = None
+) -> Placement:
+    """Placement of clusters by their coarse stage, from positions (k, 3), such as those of `landmark_start`.
+
+    The ``clusters`` are the problem's coarse ones by default. Source ``samples`` give source-to-target terms, with
+    which limbs reach the ends of the source's limbs. ParameterError if the start has another number of positions.
+    """
+    clusters = problem.coarse_clusters if clusters is None else clusters
+    prepared, energy, graph = problem.prepared, clusters.energy, clusters.energy.graph
+    expected = graph.positions.shape
+    if start.shape != expected:
+        raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
+    terms = cluster_terms(prepared, clusters, samples)
+    return evaluate_clusters(prepared, clusters, minimise(graph, energy.differentials, terms, start, clusters.stage))
+
+
+def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SurfaceSamples | None) -> Terms:
     """Data terms and constraints of clusters; source-to-target terms only if there are samples."""
     graph, masks, source, config = clusters.energy.graph, clusters.masks, prepared.source_surface, prepared.elastic
 
@@ -53,6 +70,14 @@ def cluster_terms(prepared: PreparedPair, clusters: Clusters, samples: SourceSam
         return VertexTerms(clusters.energy, blocks, right, guesses=(nearest.triangle, None))
 
     return terms
+
+
+def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
+    """(n, 3) positions of the target's mesh by the fine stage, from a coarse placement or from positions (n, 3)."""
+    prepared, energy, config = problem.prepared, problem.prepared.energy, problem.prepared.elastic
+    first = start.extrapolate_to(energy.graph, config.graph) if isinstance(start, Placement) else start
+    terms = mesh_terms(prepared, problem.constraints)
+    return minimise(energy.graph, energy.differentials, terms, first, config.fine)
 
 
 def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Terms:
@@ -85,38 +110,6 @@ def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Ter
     return terms
 
 
-def coarse_fit(
-    problem: Problem, start: FloatArray, clusters: Clusters | None = None, samples: SourceSamples | None = None
-) -> Placement:
-    """Placement of clusters by their coarse stage, from positions (k, 3), such as those of `landmark_start`.
-
-    The ``clusters`` are the problem's coarse ones by default. Source ``samples`` give source-to-target terms, with
-    which limbs reach the ends of the source's limbs. ParameterError if the start has another number of positions.
-    """
-    clusters = problem.coarse_clusters if clusters is None else clusters
-    prepared, energy, graph = problem.prepared, clusters.energy, clusters.energy.graph
-    expected = graph.positions.shape
-    if start.shape != expected:
-        raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
-    terms = cluster_terms(prepared, clusters, samples)
-    return evaluate_clusters(prepared, clusters, minimise(graph, energy.differentials, terms, start, clusters.stage))
-
-
-def evaluate_clusters(prepared: PreparedPair, clusters: Clusters, positions: FloatArray) -> Placement:
-    """Placement of clusters with its costs: `vertex_costs`."""
-    graph, (maps, _) = clusters.energy.graph, clusters.energy.differentials(positions)
-    costs = vertex_costs(prepared, graph, clusters.masks, positions, maps, clusters.stage.smoothing)
-    return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
-
-
-def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
-    """(n, 3) positions of the target's mesh by the fine stage, from a coarse placement or from positions (n, 3)."""
-    prepared, energy, config = problem.prepared, problem.prepared.energy, problem.prepared.elastic
-    first = start.extrapolate_to(energy.graph, config.graph) if isinstance(start, Placement) else start
-    terms = mesh_terms(prepared, problem.constraints)
-    return minimise(energy.graph, energy.differentials, terms, first, config.fine)
-
-
 def landmark_start(problem: Problem, clusters: Clusters) -> FloatArray:
     """(k, 3) clusters placed by the constrained ones alone: a similarity, then the energy, which bends limbs."""
     graph, constraints, config = clusters.energy.graph, clusters.constraints, problem.prepared.elastic
@@ -129,13 +122,22 @@ def landmark_start(problem: Problem, clusters: Clusters) -> FloatArray:
     return minimise(graph, clusters.energy.differentials, terms, start, config.landmark_start)
 
 
+def evaluate_clusters(prepared: PreparedPair, clusters: Clusters, positions: FloatArray) -> Placement:
+    """Placement of clusters with its costs: `vertex_costs`."""
+    graph, (maps, _) = clusters.energy.graph, clusters.energy.differentials(positions)
+    costs = vertex_costs(prepared, graph, clusters.masks, positions, maps, clusters.stage.smoothing)
+    return Placement(positions, float(costs.sum()), costs, maps=maps, graph=graph)
+
+
 def evaluate_placement(prepared: PreparedPair, positions: FloatArray) -> Placement:
     """Placement of the mesh with its costs: `vertex_costs`, distances of source samples, `stretch_costs` if open."""
     energy, config, triangles = prepared.energy, prepared.elastic, prepared.mesh.triangles
     samples, maps = prepared.source_samples, energy.maps(positions)
     costs = vertex_costs(prepared, energy.graph, prepared.level_masks, positions, maps, config.coarse.smoothing)
     tree = build_tree(positions, triangles)
-    at, barycentric, distance = closest_points(tree, samples.points, samples.planes, normal_weight=config.normal_weight)
+    at, barycentric, distance = closest_points(
+        tree, samples.points, samples.normals, normal_weight=config.normal_weight
+    )
     squared = _capped(distance**2, prepared.mesh, config)
     missed = barycentric * (samples.areas * squared)[:, None]
     costs = costs + np.bincount(triangles[at].ravel(), missed.ravel(), energy.graph.n)

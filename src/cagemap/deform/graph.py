@@ -106,9 +106,21 @@ class ElasticGraph:
 
     def cells(self, count: int, config: GraphConfig) -> IndexArray:
         """(n,) connected grid cell of every vertex in position and normal, about ``count`` cells; cached."""
-        if (count, config) not in self._known_cells:
-            self._known_cells[count, config] = read_only(_cells(self, count, config))
-        return self._known_cells[count, config]
+        if (count, config) in self._known_cells:
+            return self._known_cells[count, config]
+        width, cell = np.sqrt(1.0 / count), np.zeros(self.n, dtype=np.int64)
+        least, most = config.cell_counts
+        for _ in range(config.cell_rounds):
+            features = np.hstack([self.positions, 0.5 * width * self.normals]) / width
+            keys = np.floor(features - features.min(axis=0)).astype(np.int64)
+            counts = keys.max(axis=0) + 1
+            _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
+            cell = connected_cells(self, cell.ravel(), config)
+            cell_count = int(cell.max()) + 1
+            if least * count <= cell_count <= most * count or (cell_count == self.n and count >= self.n):
+                break
+            width *= np.sqrt(cell_count / count)
+        return self._known_cells.setdefault((count, config), read_only(cell))
 
     @kept
     def moments(self) -> sparse.csr_array:
@@ -164,6 +176,30 @@ class ElasticGraph:
         for _ in range(count):
             inside[self.heads[inside[self.tails]]] = True
         return np.flatnonzero(inside)
+
+
+def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig = GraphConfig()) -> IndexArray:
+    """(n,) connected pieces of cells; tiny ones, which would be stiff, join the neighbour with the longest border."""
+    inside = cell[graph.heads] == cell[graph.tails]
+    piece = label_components(graph.heads[inside], graph.tails[inside], graph.n)
+    for _ in range(config.joining_rounds):
+        k = int(piece.max()) + 1
+        areas = np.bincount(piece, graph.areas, minlength=k)
+        across = (piece[graph.heads] != piece[graph.tails]) & (areas < config.min_cell * areas.mean())[
+            piece[graph.heads]
+        ]
+        if not across.any():
+            break
+        heads, tails = graph.heads[across], graph.tails[across]
+        # Edge weights times squared lengths count the area along the common border, normals the sides of a thin part.
+        agree = 1.0 + np.einsum("ed,ed->e", graph.normals[heads], graph.normals[tails])
+        border = graph.weights[across] * ((graph.positions[heads] - graph.positions[tails]) ** 2).sum(axis=1) * agree
+        shared = sparse.coo_array((border, (piece[heads], piece[tails])), shape=(k, k)).tocsr().tocoo()
+        order = np.lexsort((shared.data, shared.row))
+        last = np.flatnonzero(np.diff(shared.row[order], append=k))
+        small, joined = (shared.coords[side][order][last].astype(np.int64) for side in (0, 1))
+        piece = label_components(small, joined, k)[piece]
+    return piece
 
 
 def mesh_graph(mesh: TriangleSurface, faces: IndexArray, config: GraphConfig = GraphConfig()) -> ElasticGraph:
@@ -228,45 +264,3 @@ def extrapolate(
     offsets = fine.positions[:, None] - coarse.positions[nearest]
     moved = positions[nearest] + np.einsum("vkab,vkb->vka", maps[nearest], offsets)
     return np.einsum("vk,vka->va", blend, moved)
-
-
-def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
-    """(n,) connected grid cell in position and normal, for about ``count`` cells."""
-    width = np.sqrt(1.0 / count)
-    cell = np.zeros(graph.n, dtype=np.int64)
-    least, most = config.cell_counts
-    for _ in range(config.cell_rounds):
-        features = np.hstack([graph.positions, 0.5 * width * graph.normals]) / width
-        keys = np.floor(features - features.min(axis=0)).astype(np.int64)
-        counts = keys.max(axis=0) + 1
-        _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
-        cell = connected_cells(graph, cell.ravel(), config)
-        cell_count = int(cell.max()) + 1
-        if least * count <= cell_count <= most * count or (cell_count == graph.n and count >= graph.n):
-            break
-        width *= np.sqrt(cell_count / count)
-    return cell
-
-
-def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig = GraphConfig()) -> IndexArray:
-    """(n,) connected pieces of cells; tiny ones, which would be stiff, join the neighbour with the longest border."""
-    inside = cell[graph.heads] == cell[graph.tails]
-    piece = label_components(graph.heads[inside], graph.tails[inside], graph.n)
-    for _ in range(config.joining_rounds):
-        k = int(piece.max()) + 1
-        areas = np.bincount(piece, graph.areas, minlength=k)
-        across = (piece[graph.heads] != piece[graph.tails]) & (areas < config.min_cell * areas.mean())[
-            piece[graph.heads]
-        ]
-        if not across.any():
-            break
-        heads, tails = graph.heads[across], graph.tails[across]
-        # Edge weights times squared lengths count the area along the common border, normals the sides of a thin part.
-        agree = 1.0 + np.einsum("ed,ed->e", graph.normals[heads], graph.normals[tails])
-        border = graph.weights[across] * ((graph.positions[heads] - graph.positions[tails]) ** 2).sum(axis=1) * agree
-        shared = sparse.coo_array((border, (piece[heads], piece[tails])), shape=(k, k)).tocsr().tocoo()
-        order = np.lexsort((shared.data, shared.row))
-        last = np.flatnonzero(np.diff(shared.row[order], append=k))
-        small, joined = (shared.coords[side][order][last].astype(np.int64) for side in (0, 1))
-        piece = label_components(small, joined, k)[piece]
-    return piece

@@ -7,7 +7,6 @@ the coarse graph, but does on the mesh (docs/lab/fit_experiments.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +32,47 @@ from cagemap.spectral.zoomout import (
 # Landmarks from which on they give a start of their own; fewer only restrict the search.
 FEWEST_LANDMARKS = 3
 
+# Coarse fits from two starts, ZoomOut and the constrained points alone; and ZoomOut's start (k, 3), for other stages.
+StartFits = tuple[list[Placement], FloatArray]
 
-class StartFits(NamedTuple):
-    """Coarse fits from two starts, ZoomOut and the constrained points alone; and ZoomOut's start, for other stages."""
 
-    placements: list[Placement]
-    start: FloatArray  # (k, 3)
+def fit_from_two_starts(
+    problem: Problem, clusters: Clusters, start: FloatArray | None = None, stiff_fits: StartFits | None = None
+) -> tuple[list[Placement], list[Placement]]:
+    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if the starts agree.
+
+    The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
+    constrained points alone (`landmark_start`). Clusters are fitted from each by the stiff coarse stage, which spreads
+    strain evenly (unless these ``stiff_fits`` are given), and the distinct placements are refined. The starts disagree
+    if these are far apart or a limb of the best one is rotated; then the soft stage, that of ``clusters``, is fitted
+    too, for `spectral_starts`. With a start and fewer than three constrained points nothing else is possible: it is
+    fitted by both stages.
+    """
+    elastic, areas = problem.prepared.elastic, clusters.energy.graph.areas
+    stiff = clusters.with_stage(elastic.stiff_coarse)
+    if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
+        both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
+        return refine_placements(problem, both_stages), []
+    coarse, first = stiff_fits or fit_both_starts(problem, stiff, start)
+    search = elastic.search
+    # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
+    distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
+    fine = refine_placements(problem, distinct)
+    rotation = largest_limb_rotation(
+        problem.prepared.energy, problem.prepared.level_masks, fine[0].positions, search.limb_area
+    )
+    distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
+    if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
+        return fine, []
+    return fine, fit_both_starts(problem, clusters, first)[0]
+
+
+def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> StartFits:
+    """Coarse fits from ZoomOut, or from positions (k, 3) in its place, and from the constrained points alone."""
+    with ThreadPool(1) as pool:  # at the same time as ZoomOut
+        from_points = pool.submit(lambda: coarse_fit(problem, landmark_start(problem, clusters), clusters))
+        start = zoomout_start(problem, clusters) if start is None else start
+        return [coarse_fit(problem, start, clusters), from_points.result()], start
 
 
 def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:
@@ -110,55 +144,14 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
     return starts
 
 
-def fit_from_two_starts(
-    problem: Problem, clusters: Clusters, start: FloatArray | None = None, stiff_fits: StartFits | None = None
-) -> tuple[list[Placement], list[Placement]]:
-    """Fine placements from two starts, cheapest first; and the soft coarse ones of both, none if the starts agree.
-
-    The starts are ZoomOut from landmark coordinates (`zoomout_start`), or positions ``start`` (k, 3), and the
-    constrained points alone (`landmark_start`). Clusters are fitted from each by the stiff coarse stage, which spreads
-    strain evenly (unless these ``stiff_fits`` are given), and the distinct placements are refined. The starts disagree
-    if these are far apart or a limb of the best one is rotated; then the soft stage, that of ``clusters``, is fitted
-    too, for `spectral_starts`. With a start and fewer than three constrained points nothing else is possible: it is
-    fitted by both stages.
-    """
-    elastic, areas = problem.prepared.elastic, clusters.energy.graph.areas
-    stiff = clusters.with_stage(elastic.stiff_coarse)
-    if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
-        both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
-        return refine_placements(problem, both_stages), []
-    coarse, first = stiff_fits or fit_both_starts(problem, stiff, start)
-    search = elastic.search
-    # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
-    distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
-    fine = refine_placements(problem, distinct)
-    rotation = largest_limb_rotation(
-        problem.prepared.energy, problem.prepared.level_masks, fine[0].positions, search.limb_area
-    )
-    distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
-    if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
-        return fine, []
-    return fine, fit_both_starts(problem, clusters, first).placements
-
-
-def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> StartFits:
-    """Coarse fits from ZoomOut, or from positions (k, 3) in its place, and from the constrained points alone."""
-    with ThreadPool(1) as pool:  # at the same time as ZoomOut
-        from_points = pool.submit(lambda: coarse_fit(problem, landmark_start(problem, clusters), clusters))
-        start = zoomout_start(problem, clusters) if start is None else start
-        return StartFits([coarse_fit(problem, start, clusters), from_points.result()], start)
-
-
-def refine_cheapest(
-    problem: Problem, coarse: Sequence[Placement], most: int | None = None, fine: Sequence[Placement] = ()
-) -> list[Placement]:
+def refine_cheapest(problem: Problem, coarse: Sequence[Placement], fine: Sequence[Placement] = ()) -> list[Placement]:
     """Fine placements, cheapest first: from the cheapest distinct coarse ones, given ones, and `best_parts` of all."""
     prepared, config = problem.prepared, problem.prepared.elastic.search
     ranked = sort_by_cost(coarse)
     graph = ranked[0].graph
     assert graph is not None
     cheap = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
-    kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: most or config.max_refined]
+    kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: config.max_refined]
     fine = sort_by_cost([*refine_placements(problem, kept), *fine])
     mixed = best_parts(prepared.energy.graph, fine, config)
     if mixed is None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, Stage, StartConfig
-from cagemap.deform.data import CurveConstraint, PlacementConstraints, SourceSamples, constrained_clusters
+from cagemap.deform.data import CurveConstraint, PlacementConstraints, SurfaceSamples, constrained_clusters
 from cagemap.deform.energy import NO_VERTICES, ElasticEnergy, bounded_energy
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.errors import ParameterError
@@ -98,10 +98,10 @@ class PreparedPair:
             )
 
     @kept
-    def source_samples(self) -> SourceSamples:
+    def source_samples(self) -> SurfaceSamples:
         """Vertices of the source that should lie on the target's mesh."""
         count = int(self.elastic.data.samples * self.energy.graph.n)
-        return SourceSamples.choose(self.source_surface, count, self.level_masks)
+        return SurfaceSamples.at_vertices(self.source_surface, count, self.level_masks.source)
 
     @kept
     def level_masks(self) -> Masks:

@@ -37,46 +37,17 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
     if prepared.masks.any:
         return placed
     if pose_difference(prepared.energy, placed.positions) > config.refit.min_pose_difference:
-        posed = evaluate_placement(prepared, fit_in_pose(problem, placed.positions))
+        shape = rigid_pose(prepared.energy.graph, placed.positions, config.refit)
+        posed = evaluate_placement(prepared, fit_from_shape(problem, shape))
     both_ways = evaluate_placement(prepared, inverse_consistent(problem, posed.positions))
     cheap = both_ways.cost <= config.search.max_equal_cost * posed.cost
     return replace(placed, finished_positions=(both_ways if cheap else posed).positions)
-
-
-def fit_in_pose(problem: Problem, positions: FloatArray) -> FloatArray:
-    """(n, 3) positions after refitting the target from the pose of a placement."""
-    prepared = problem.prepared
-    return fit_from_shape(problem, rigid_pose(prepared.energy.graph, positions, prepared.elastic.refit))
-
-
-def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
-    """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start."""
-    prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
-    energy = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing)
-    alike = replace(problem, prepared=replace(prepared, energy=energy))
-    clusters = alike.clusters_with(stage=prepared.elastic.stiff_coarse)
-    return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
-
-
-def clusters_in_pose(clusters: Clusters, positions: FloatArray, config: RefitConfig = RefitConfig()) -> Clusters:
-    """Clusters whose rest shape is moved to a placement (k, 3), as rigidly as possible."""
-    energy, shape = clusters.energy, rigid_pose(clusters.energy.graph, positions, config)
-    normals = deformed_normals(energy.graph.normals, energy.differentials(shape)[0])
-    return replace(clusters, energy=energy.with_rest_shape(shape, normals, clusters.stage.smoothing))
 
 
 def pose_difference(energy: ElasticEnergy, positions: FloatArray) -> float:
     """Difference of poses in radians: mean of `rotation_angles`."""
     areas = energy.graph.areas
     return float(areas @ rotation_angles(energy, positions)) / float(areas.sum())
-
-
-def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatArray, share: float) -> float:
-    """Least of `rotation_angles`, in radians, on the most rotated share of the unmasked area."""
-    angles = rotation_angles(energy, positions)
-    order = np.argsort(-angles)
-    covered = np.cumsum((energy.graph.areas * masks.of_target(energy.graph.n))[order])
-    return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
 
 
 def rotation_angles(energy: ElasticEnergy, positions: FloatArray) -> FloatArray:
@@ -90,6 +61,23 @@ def rotation_angles(energy: ElasticEnergy, positions: FloatArray) -> FloatArray:
 def common_rotation(areas: FloatArray, rotations: FloatArray) -> FloatArray:
     """(3, 3) mean rotation: nearest to rotations (n, 3, 3), weighted by area (n,)."""
     return nearest_rotations(np.einsum("n,nab->ab", areas, rotations)[None])[0]
+
+
+def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatArray, share: float) -> float:
+    """Least of `rotation_angles`, in radians, on the most rotated share of the unmasked area."""
+    angles = rotation_angles(energy, positions)
+    order = np.argsort(-angles)
+    covered = np.cumsum((energy.graph.areas * masks.of_target(energy.graph.n))[order])
+    return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
+
+
+def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
+    """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start."""
+    prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
+    energy = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing)
+    alike = replace(problem, prepared=replace(prepared, energy=energy))
+    clusters = alike.clusters_with(stage=prepared.elastic.stiff_coarse)
+    return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
 
 
 def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
@@ -128,8 +116,10 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     prepared, back = problem.prepared, problem.prepared.reverse_pair
     mesh, graph, config = prepared.mesh, prepared.energy.graph, prepared.elastic.refit
     start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
-    posed = pose_difference(back.energy, start) > config.min_pose_difference
-    returned = fit_in_pose(problem.reverse_problem, start) if posed else fine_fit(problem.reverse_problem, start)
+    if pose_difference(back.energy, start) > config.min_pose_difference:
+        returned = fit_from_shape(problem.reverse_problem, rigid_pose(back.energy.graph, start, config))
+    else:
+        returned = fine_fit(problem.reverse_problem, start)
     places, gaps = inverse_positions(back.mesh, returned, mesh, config.normal_weight)
     trust = 1.0 / (1.0 + (gaps / config.gap) ** 2) ** 2
     return positions + smooth_shifts(graph, 0.5 * (places - positions), trust, config.smoothing)
@@ -148,3 +138,10 @@ def smooth_shifts(graph: ElasticGraph, shifts: FloatArray, trust: FloatArray, le
     """(n, 3) shifts of a mesh smoothed over a length, weighted by trust (n,)."""
     masses = graph.areas * np.maximum(trust, 1e-6)
     return graph.smoother(length, masses).solve(masses[:, None] * shifts)
+
+
+def clusters_in_pose(clusters: Clusters, positions: FloatArray, config: RefitConfig = RefitConfig()) -> Clusters:
+    """Clusters whose rest shape is moved to a placement (k, 3), as rigidly as possible."""
+    energy, shape = clusters.energy, rigid_pose(clusters.energy.graph, positions, config)
+    normals = deformed_normals(energy.graph.normals, energy.differentials(shape)[0])
+    return replace(clusters, energy=energy.with_rest_shape(shape, normals, clusters.stage.smoothing))

@@ -8,8 +8,6 @@ nor the fine mesh are needed. The result is close to that of the whole fit, at a
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
@@ -19,6 +17,20 @@ from cagemap.deform.problem import Problem
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.surface.triangles import vertex_normals
+
+
+def linear_update(problem: Problem, before: PointMap) -> FloatArray:
+    """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
+    prepared, landmarks, clusters = problem.prepared, problem.landmarks, problem.coarse_clusters
+    coarse, vertices, config = clusters.energy.graph, clusters.vertices, prepared.elastic
+    positions = before.images.at(prepared.vertices).positions
+    normals = vertex_normals(positions, prepared.mesh.triangles)[vertices]
+    offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
+    blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
+    clusters.constraints.add_curves(blocks, right, positions[vertices], config)
+    terms = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
+    response = displacement_response(coarse, normals, np.arange(len(offsets)), offsets, config, terms)
+    return positions + extrapolate(coarse, *response, prepared.energy.graph, config.graph)
 
 
 def displacement_response(
@@ -42,21 +54,6 @@ def displacement_response(
         blocks, right = blocks + terms[0], right + terms[1]
     blocks[vertices] = landmark_weight * np.eye(3)
     right[vertices] = landmark_weight * offsets
-    constant = replace(stage, stiffness=(stage.stiffness[-1], stage.stiffness[-1]))
     both = VertexTerms(energy, blocks, right, constant=True)
-    displacements = minimise(graph, energy.differentials, both, np.zeros((graph.n, 3)), constant)
+    displacements = minimise(graph, energy.differentials, both, np.zeros((graph.n, 3)), stage)
     return displacements, energy.maps(displacements)
-
-
-def linear_update(problem: Problem, before: PointMap) -> FloatArray:
-    """(n, 3) positions of the deformed level, by a map moved to meet landmarks and curves."""
-    prepared, landmarks, clusters = problem.prepared, problem.landmarks, problem.coarse_clusters
-    coarse, vertices, config = clusters.energy.graph, clusters.vertices, prepared.elastic
-    positions = before.images.at(prepared.vertices).positions
-    normals = vertex_normals(positions, prepared.mesh.triangles)[vertices]
-    offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
-    blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
-    clusters.constraints.add_curves(blocks, right, positions[vertices], config)
-    terms = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
-    response = displacement_response(coarse, normals, np.arange(len(offsets)), offsets, config, terms)
-    return positions + extrapolate(coarse, *response, prepared.energy.graph, config.graph)

@@ -24,6 +24,8 @@ from cagemap.spectral.zoomout import (
     zoomout,
 )
 
+TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000  # numbers of samples of target and source in ZoomOut
+
 
 @dataclass(frozen=True, eq=False)
 class LevelMap:
@@ -36,8 +38,6 @@ class LevelMap:
 
 
 MapLike = PointMap | LevelMap | ArrayLike
-
-TARGET_SAMPLES, SOURCE_SAMPLES = 3000, 10_000  # numbers of samples of target and source in ZoomOut
 
 
 @kinds_checked
@@ -56,6 +56,102 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
     weights = sampled.barycentric
     pulled = np.asarray(sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3)))
     return fit_functional_map(at_vertices, target.finest_triangles.vertex_areas[chosen], pulled)
+
+
+@kinds_checked
+def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | None = None) -> FloatArray:
+    """C12 of a map in any form; vertex maps are fitted with ``sizes`` functions (k1, k2), by default with all."""
+    checked = check_map(pair, given)
+    if isinstance(checked, PointMap):
+        return functional_map_of(pair.target, pair.source, checked)
+    if checked.ndim == 2:
+        return np.array(checked, dtype=np.float64)
+    k1, k2 = (None, None) if sizes is None else sizes
+    chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
+    vertices = pair.target.hierarchy.on_finest(_level_of(pair, checked))[chosen]
+    areas = pair.target.finest_triangles.vertex_areas[vertices]
+    values = pair.source.basis_rows(checked[chosen].astype(np.int64))
+    return fit_functional_map(pair.target.basis_rows(vertices)[:, :k1], areas, values[:, :k2])
+
+
+def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
+    """The checked map: a PointMap, C12 (k1, k2), or (n,) a finest source vertex for each target vertex of a level."""
+    target, source = pair.target, pair.source
+    form = _finest_images(pair, given) if isinstance(given, LevelMap) else given
+    if isinstance(form, PointMap):
+        _check_sides(target, source, form)
+        return form
+    values = array_of(form)
+    counts = [level.n_vertices for level in target.hierarchy.levels]
+    if values.ndim == 1 and len(values) in counts:
+        vertices = whole_numbers(values, "map")
+        if 0 <= vertices.min() and vertices.max() < len(source.vertices):
+            return vertices
+    largest = target.basis.count, source.basis.count
+    if values.ndim != 2 or not values.size or not all(np.less_equal(values.shape, largest)):
+        raise ParameterError(
+            f"map: expected a PointMap, a functional map of at most {largest}, a LevelMap, or a finest source vertex "
+            f"(0 to {len(source.vertices) - 1}) for every target vertex of a level, {' or '.join(map(str, counts))}, "
+            f"got {type(given).__name__} {values.shape}"
+        )
+    return finite_numbers(values, "map")
+
+
+def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
+    """Refuse point maps of other numbers of vertices than the finest levels have."""
+    if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
+        raise ParameterError(
+            f"map: expected one of {len(target.vertices)} to {len(source.vertices)} vertices, the finest of the "
+            f"pair, got {given}: target and source may be exchanged, or it belongs to another level"
+        )
+
+
+def _finest_images(pair: Pair, given: LevelMap) -> PointMap | IndexArray:
+    """The point map of the finest levels, or the finest source vertices (n1,) of a coarse level's target vertices."""
+    levels = pair.levels(given.levels)
+    if given.points is not None and levels == pair.levels():
+        return given.points
+    match, on_finest = whole_numbers(given.match, "map"), pair.source.hierarchy.on_finest(levels[1])
+    n = pair.target.hierarchy.levels[levels[0]].n_vertices
+    if match.shape != (n,) or match.min() < 0 or match.max() >= len(on_finest):
+        raise ParameterError(
+            f"map: expected a vertex of level {levels[1]} of the source (0 to {len(on_finest) - 1}) for each of the "
+            f"{n} vertices of level {levels[0]} of the target, got {match.size}, up to {match.max(initial=-1)}"
+        )
+    return on_finest[match]
+
+
+def _level_of(pair: Pair, vertex_map: FloatArray | IndexArray) -> int:
+    """Level of the target that has as many vertices as a vertex map has entries."""
+    return [level.n_vertices for level in pair.target.hierarchy.levels].index(len(vertex_map))
+
+
+def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
+    """(q, 3) images of finest target vertices (q,) by a map in any form, at unit area."""
+    checked, places = check_map(pair, given), pair.source.finest_triangles.positions
+    if isinstance(checked, PointMap):
+        return checked.images.at(vertices).positions
+    if checked.ndim == 1:
+        rows = pair.target.hierarchy.on_level(_level_of(pair, checked), vertices)
+        if (rows >= 0).all():
+            return np.asarray(places[checked[rows].astype(np.int64)])
+    candidates = evenly_spaced_vertices(len(places), SOURCE_SAMPLES)
+    target, source = pair.target.basis_rows(vertices), pair.source.basis_rows(candidates)
+    return np.asarray(places[candidates[nearest_samples(target, source, functional_map_from(pair, checked))]])
+
+
+def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> FloatArray:
+    """C12 after ZoomOut from a map in any form, with the schedule's last number of functions."""
+    counts = (pair.target, TARGET_SAMPLES), (pair.source, SOURCE_SAMPLES)
+    chosen = [evenly_spaced_vertices(len(surface.vertices), count) for surface, count in counts]
+    sides = [(pair.target, chosen[0]), (pair.source, chosen[1])]
+    target, source = in_threads(lambda side: side[0].basis_rows(side[1]), sides)
+    areas = pair.target.finest_triangles.vertex_areas[chosen[0]]
+    places = pair.source.finest_triangles.positions[chosen[1]]
+    start = np.asarray(cKDTree(places).query(image_positions(pair, given, chosen[0]))[1], dtype=np.int64)
+    match = zoomout(target, areas, source, start, schedule)
+    k1, k2 = (min(schedule.last, surface.basis.count) for surface in (pair.target, pair.source))
+    return fit_functional_map(target[:, :k1], areas, source[match][:, :k2])
 
 
 @kinds_checked
@@ -121,99 +217,3 @@ def _sides(
         rows = surface.basis_rows(surface.hierarchy.on_finest(level)[chosen])
         sides.append((rows, theirs[chosen, : shape[i]], triangles.vertex_areas[chosen]))
     return sides
-
-
-def _check_sides(target: Surface, source: Surface, given: PointMap) -> None:
-    """Refuse point maps of other numbers of vertices than the finest levels have."""
-    if given.target.n != len(target.vertices) or given.source.n != len(source.vertices):
-        raise ParameterError(
-            f"map: expected one of {len(target.vertices)} to {len(source.vertices)} vertices, the finest of the "
-            f"pair, got {given}: target and source may be exchanged, or it belongs to another level"
-        )
-
-
-def check_map(pair: Pair, given: MapLike) -> PointMap | FloatArray | IndexArray:
-    """The checked map: a PointMap, C12 (k1, k2), or (n,) a finest source vertex for each target vertex of a level."""
-    target, source = pair.target, pair.source
-    form = _finest_images(pair, given) if isinstance(given, LevelMap) else given
-    if isinstance(form, PointMap):
-        _check_sides(target, source, form)
-        return form
-    values = array_of(form)
-    counts = [level.n_vertices for level in target.hierarchy.levels]
-    if values.ndim == 1 and len(values) in counts:
-        vertices = whole_numbers(values, "map")
-        if 0 <= vertices.min() and vertices.max() < len(source.vertices):
-            return vertices
-    largest = target.basis.count, source.basis.count
-    if values.ndim != 2 or not values.size or not all(np.less_equal(values.shape, largest)):
-        raise ParameterError(
-            f"map: expected a PointMap, a functional map of at most {largest}, a LevelMap, or a finest source vertex "
-            f"(0 to {len(source.vertices) - 1}) for every target vertex of a level, {' or '.join(map(str, counts))}, "
-            f"got {type(given).__name__} {values.shape}"
-        )
-    return finite_numbers(values, "map")
-
-
-def _finest_images(pair: Pair, given: LevelMap) -> PointMap | IndexArray:
-    """The point map of the finest levels, or the finest source vertices (n1,) of a coarse level's target vertices."""
-    levels = pair.levels(given.levels)
-    if given.points is not None and levels == pair.levels():
-        return given.points
-    match, on_finest = whole_numbers(given.match, "map"), pair.source.hierarchy.on_finest(levels[1])
-    n = pair.target.hierarchy.levels[levels[0]].n_vertices
-    if match.shape != (n,) or match.min() < 0 or match.max() >= len(on_finest):
-        raise ParameterError(
-            f"map: expected a vertex of level {levels[1]} of the source (0 to {len(on_finest) - 1}) for each of the "
-            f"{n} vertices of level {levels[0]} of the target, got {match.size}, up to {match.max(initial=-1)}"
-        )
-    return on_finest[match]
-
-
-@kinds_checked
-def functional_map_from(pair: Pair, given: MapLike, sizes: tuple[int, int] | None = None) -> FloatArray:
-    """C12 of a map in any form; vertex maps are fitted with ``sizes`` functions (k1, k2), by default with all."""
-    checked = check_map(pair, given)
-    if isinstance(checked, PointMap):
-        return functional_map_of(pair.target, pair.source, checked)
-    if checked.ndim == 2:
-        return np.array(checked, dtype=np.float64)
-    k1, k2 = (None, None) if sizes is None else sizes
-    chosen = evenly_spaced_vertices(len(checked), FIT_SAMPLES)
-    vertices = pair.target.hierarchy.on_finest(_level_of(pair, checked))[chosen]
-    areas = pair.target.finest_triangles.vertex_areas[vertices]
-    values = pair.source.basis_rows(checked[chosen].astype(np.int64))
-    return fit_functional_map(pair.target.basis_rows(vertices)[:, :k1], areas, values[:, :k2])
-
-
-def _level_of(pair: Pair, vertex_map: FloatArray | IndexArray) -> int:
-    """Level of the target that has as many vertices as a vertex map has entries."""
-    return [level.n_vertices for level in pair.target.hierarchy.levels].index(len(vertex_map))
-
-
-def image_positions(pair: Pair, given: MapLike, vertices: IndexArray) -> FloatArray:
-    """(q, 3) images of finest target vertices (q,) by a map in any form, at unit area."""
-    checked, places = check_map(pair, given), pair.source.finest_triangles.positions
-    if isinstance(checked, PointMap):
-        return checked.images.at(vertices).positions
-    if checked.ndim == 1:
-        rows = pair.target.hierarchy.on_level(_level_of(pair, checked), vertices)
-        if (rows >= 0).all():
-            return np.asarray(places[checked[rows].astype(np.int64)])
-    candidates = evenly_spaced_vertices(len(places), SOURCE_SAMPLES)
-    target, source = pair.target.basis_rows(vertices), pair.source.basis_rows(candidates)
-    return np.asarray(places[candidates[nearest_samples(target, source, functional_map_from(pair, checked))]])
-
-
-def zoomout_of_map(pair: Pair, given: MapLike, schedule: ZoomOutSchedule) -> FloatArray:
-    """C12 after ZoomOut from a map in any form, with the schedule's last number of functions."""
-    counts = (pair.target, TARGET_SAMPLES), (pair.source, SOURCE_SAMPLES)
-    chosen = [evenly_spaced_vertices(len(surface.vertices), count) for surface, count in counts]
-    sides = [(pair.target, chosen[0]), (pair.source, chosen[1])]
-    target, source = in_threads(lambda side: side[0].basis_rows(side[1]), sides)
-    areas = pair.target.finest_triangles.vertex_areas[chosen[0]]
-    places = pair.source.finest_triangles.positions[chosen[1]]
-    start = np.asarray(cKDTree(places).query(image_positions(pair, given, chosen[0]))[1], dtype=np.int64)
-    match = zoomout(target, areas, source, start, schedule)
-    k1, k2 = (min(schedule.last, surface.basis.count) for surface in (pair.target, pair.source))
-    return fit_functional_map(target[:, :k1], areas, source[match][:, :k2])

@@ -79,26 +79,6 @@ def geodesic_error(
     return np.maximum(errors, np.linalg.norm(images.positions - true_images.positions, axis=1))
 
 
-def _errors_by(distances: Callable[[int], ArrayLike], images: SurfacePoints, true_images: SurfacePoints) -> FloatArray:
-    """(s,) distances from the vertices nearest to the true images to the images, by another library."""
-    if not callable(distances):
-        raise ParameterError(
-            f"distances: expected a function of a source vertex, got a {type(distances).__name__}; a matrix D has "
-            "D.__getitem__"
-        )
-    nearest = true_images.heaviest_corners
-    errors = np.empty(len(images))
-    for vertex in np.unique(nearest):
-        lengths, rows = real_numbers(distances(int(vertex)), "distances"), np.flatnonzero(nearest == vertex)
-        if lengths.shape != (images.surface.n,):
-            raise ParameterError(
-                f"distances: expected ({images.surface.n},) from vertex {vertex}, one for each source vertex, got "
-                f"{lengths.shape}"
-            )
-        errors[rows] = images.at(rows).interpolate(lengths)
-    return errors
-
-
 def _true_images(
     point_map: PointMap, truth: PointMap | SurfacePoints | ArrayLike
 ) -> tuple[SurfacePoints, NDArray[np.bool_]]:
@@ -122,6 +102,26 @@ def _true_images(
     if len(images) > len(point_map.images):
         raise ParameterError(f"truth: expected at most {len(point_map.images)} images, got {len(images)}")
     return images, known
+
+
+def _errors_by(distances: Callable[[int], ArrayLike], images: SurfacePoints, true_images: SurfacePoints) -> FloatArray:
+    """(s,) distances from the vertices nearest to the true images to the images, by another library."""
+    if not callable(distances):
+        raise ParameterError(
+            f"distances: expected a function of a source vertex, got a {type(distances).__name__}; a matrix D has "
+            "D.__getitem__"
+        )
+    nearest = true_images.heaviest_corners
+    errors = np.empty(len(images))
+    for vertex in np.unique(nearest):
+        lengths, rows = real_numbers(distances(int(vertex)), "distances"), np.flatnonzero(nearest == vertex)
+        if lengths.shape != (images.surface.n,):
+            raise ParameterError(
+                f"distances: expected ({images.surface.n},) from vertex {vertex}, one for each source vertex, got "
+                f"{lengths.shape}"
+            )
+        errors[rows] = images.at(rows).interpolate(lengths)
+    return errors
 
 
 class HeatDistances:

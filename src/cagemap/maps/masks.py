@@ -158,17 +158,6 @@ def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> Float
     return mask * np.minimum(inside / width, 1.0)
 
 
-def distances_along_edges(
-    surface: TriangleSurface, seeds: IndexArray, limit: float = np.inf
-) -> tuple[FloatArray, IndexArray]:
-    """(n,) distances along edges from the nearest of several vertices, and that vertex; -9999 beyond the limit."""
-    heads, tails = surface.triangles.ravel(), np.roll(surface.triangles, -1, axis=1).ravel()
-    lengths = np.maximum(row_lengths(surface.positions[heads] - surface.positions[tails]), 1e-12)
-    edges = sparse.csr_array((lengths, (heads, tails)), shape=(surface.n, surface.n))
-    paths = dijkstra(edges, directed=False, indices=seeds, return_predecessors=True, min_only=True, limit=limit)
-    return np.asarray(paths[0]), np.asarray(paths[2], dtype=np.int64)
-
-
 def _checked(values: FloatArray, count: int, place: str, what: str = "mask", remedy: str = "") -> FloatArray:
     """The values as numbers; ParameterError unless there are ``count`` from 0 to 1."""
     given = real_numbers(values, what)
@@ -178,3 +167,14 @@ def _checked(values: FloatArray, count: int, place: str, what: str = "mask", rem
             f"{what}: expected {count} numbers from 0 to 1, one a {place}, got shape {given.shape}{extremes}{remedy}"
         )
     return given
+
+
+def distances_along_edges(
+    surface: TriangleSurface, seeds: IndexArray, limit: float = np.inf
+) -> tuple[FloatArray, IndexArray]:
+    """(n,) distances along edges from the nearest of several vertices, and that vertex; -9999 beyond the limit."""
+    heads, tails = surface.triangles.ravel(), np.roll(surface.triangles, -1, axis=1).ravel()
+    lengths = np.maximum(row_lengths(surface.positions[heads] - surface.positions[tails]), 1e-12)
+    edges = sparse.csr_array((lengths, (heads, tails)), shape=(surface.n, surface.n))
+    paths = dijkstra(edges, directed=False, indices=seeds, return_predecessors=True, min_only=True, limit=limit)
+    return np.asarray(paths[0]), np.asarray(paths[2], dtype=np.int64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -135,44 +136,20 @@ class Pair:
         return near_vertices(self.landmarks.source, self.source)
 
 
+class CurveMiss(NamedTuple):
+    """Distances between the image of a curve and its counterpart, both ways, of sqrt(area)."""
+
+    name: str
+    mean: float
+    worst: float
+
+
 def symmetry_pairs(given: Sequence[SymmetryPair]) -> tuple[SymmetryPair, ...]:
     """Symmetries of `Pair` as arrays of whole numbers; ParameterError if they are no pairs of these."""
     listed = isinstance(given, Sequence)
     if not listed or not all(isinstance(pair, tuple | list) and len(pair) == 2 for pair in given):
         raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
     return tuple((whole_numbers(one, "symmetries"), whole_numbers(other, "symmetries")) for one, other in given)
-
-
-def near_vertices(points: SurfacePoints, surface: Surface, level: int | None = None) -> IndexArray:
-    """(m,) distinct vertices of a level (the finest by default), one at or near each point.
-
-    A point between vertices gets the nearest vertex that no other point has, of a level that the basis, the search
-    and ``level`` have in common.
-    """
-    vertices, levels = points.vertices, surface.hierarchy
-    level = levels.finest_level if level is None else level
-    if (levels.on_level(0, vertices) < 0).any():
-        common = min(surface.basis.last_level, levels.coarsest_level(NEAR_VERTICES), level)
-        on_common = levels.on_level(common, vertices)
-        between, positions = np.flatnonzero(on_common < 0), surface.triangles(common).positions
-        if len(points) > len(positions):
-            raise ParameterError(
-                f"landmarks: expected at most {len(positions)} on a level of as many vertices, got {len(points)}. "
-                "Give fewer, or refine once more."
-            )
-        free = nearest_free_vertices(positions, points.positions[between], on_common[on_common >= 0])
-        vertices[between] = levels.on_finest(common)[free]
-    return levels.on_level(level, vertices)
-
-
-def nearest_free_vertices(positions: FloatArray, places: FloatArray, taken: IndexArray) -> IndexArray:
-    """(q,) distinct vertices nearest to places (q, 3), none of them taken. If places share one, the first gets it."""
-    chosen, free = np.full(len(places), -1, dtype=np.int64), np.setdiff1d(np.arange(len(positions)), taken)
-    while len(left := np.flatnonzero(chosen < 0)):
-        near, first = np.unique(cKDTree(positions[free]).query(places[left])[1], return_index=True)
-        chosen[left[first]] = free[near]
-        free = np.delete(free, near)
-    return chosen
 
 
 def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> PointPairs:
@@ -223,13 +200,36 @@ def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
     return best
 
 
-@dataclass(frozen=True)
-class CurveMiss:
-    """Distances between the image of a curve and its counterpart, both ways, of sqrt(area)."""
+def near_vertices(points: SurfacePoints, surface: Surface, level: int | None = None) -> IndexArray:
+    """(m,) distinct vertices of a level (the finest by default), one at or near each point.
 
-    name: str
-    mean: float
-    worst: float
+    A point between vertices gets the nearest vertex that no other point has, of a level that the basis, the search
+    and ``level`` have in common.
+    """
+    vertices, levels = points.vertices, surface.hierarchy
+    level = levels.finest_level if level is None else level
+    if (levels.on_level(0, vertices) < 0).any():
+        common = min(surface.basis.last_level, levels.coarsest_level(NEAR_VERTICES), level)
+        on_common = levels.on_level(common, vertices)
+        between, positions = np.flatnonzero(on_common < 0), surface.triangles(common).positions
+        if len(points) > len(positions):
+            raise ParameterError(
+                f"landmarks: expected at most {len(positions)} on a level of as many vertices, got {len(points)}. "
+                "Give fewer, or refine once more."
+            )
+        free = nearest_free_vertices(positions, points.positions[between], on_common[on_common >= 0])
+        vertices[between] = levels.on_finest(common)[free]
+    return levels.on_level(level, vertices)
+
+
+def nearest_free_vertices(positions: FloatArray, places: FloatArray, taken: IndexArray) -> IndexArray:
+    """(q,) distinct vertices nearest to places (q, 3), none of them taken. If places share one, the first gets it."""
+    chosen, free = np.full(len(places), -1, dtype=np.int64), np.setdiff1d(np.arange(len(positions)), taken)
+    while len(left := np.flatnonzero(chosen < 0)):
+        near, first = np.unique(cKDTree(positions[free]).query(places[left])[1], return_index=True)
+        chosen[left[first]] = free[near]
+        free = np.delete(free, near)
+    return chosen
 
 
 def curve_pairs(target: Surface, source: Surface, curves: CageCurvePairs) -> tuple[CurvePair[SurfacePoints], ...]:
@@ -281,6 +281,15 @@ def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> Index
     return np.where((keys[edges] == wanted)[:, None], chains, -1)
 
 
+def _straight(start: SurfacePoints, stop: SurfacePoints) -> SurfacePoints:
+    """Surface points nearest to the straight line between two of its points, without the second."""
+    share = np.arange(STRAIGHT_PIECES)[:, None] / STRAIGHT_PIECES
+    places = (1.0 - share) * start.positions + share * stop.positions
+    normals = (1.0 - share) * start.normals + share * stop.normals
+    near = SurfacePoints.nearest(start.surface, places, normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
+    return near.replaced(np.array([0]), start)
+
+
 def curve_miss(pair: CurvePair[SurfacePoints], point_map: PointMap) -> CurveMiss:
     """Distances from the image of the target curve to the source curve, and back."""
     image = Polyline(pair.target.points.interpolate(point_map.images.positions), pair.target.closed)
@@ -289,12 +298,3 @@ def curve_miss(pair: CurvePair[SurfacePoints], point_map: PointMap) -> CurveMiss
     to_target = np.linalg.norm(image.nearest(source.positions)[0] - source.positions, axis=1)
     mean = 0.5 * (target.point_shares @ to_source + source.point_shares @ to_target)
     return CurveMiss(pair.name, float(mean), float(max(to_source.max(), to_target.max())))
-
-
-def _straight(start: SurfacePoints, stop: SurfacePoints) -> SurfacePoints:
-    """Surface points nearest to the straight line between two of its points, without the second."""
-    share = np.arange(STRAIGHT_PIECES)[:, None] / STRAIGHT_PIECES
-    places = (1.0 - share) * start.positions + share * stop.positions
-    normals = (1.0 - share) * start.normals + share * stop.normals
-    near = SurfacePoints.nearest(start.surface, places, normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
-    return near.replaced(np.array([0]), start)

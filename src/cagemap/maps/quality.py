@@ -87,103 +87,6 @@ class QualityFigures:
         return cls(landmark_errors=landmark_errors, trust=trust, **figures)
 
 
-def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[np.bool_]:
-    """(t1,) target triangles whose image faces against the sum of the source's normals at its corners."""
-    return inverted_triangles(images.positions, images.normals, triangles)
-
-
-def _source_normals(images: SurfacePoints) -> FloatArray:
-    """(m, 3) normals at images; vertex normals at vertices, since triangles at sharp vertices mislead."""
-    at_vertex = np.flatnonzero(images.barycentric.max(axis=1) == 1.0)
-    if not len(at_vertex):
-        return images.normals
-    normals = images.normals.copy()
-    normals[at_vertex] = images.surface.vertex_normals[images.at(at_vertex).heaviest_corners]
-    return normals
-
-
-def inverted_triangles(positions: FloatArray, normals: FloatArray, triangles: IndexArray) -> NDArray[np.bool_]:
-    """(t,) which triangles (t, 3) face against the sum of the normals (n, 3) at their corners (n, 3)."""
-    flipped = np.empty(len(triangles), dtype=np.bool_)
-
-    def fill(part: slice) -> None:
-        corners = triangles[part]
-        expected = sum(normals.take(corners[:, k], axis=0) for k in range(3))
-        flipped[part] = np.einsum("td,td->t", triangle_normals(positions, corners), expected) < 0
-
-    in_threads(fill, row_slices(len(triangles), CACHED))
-    return flipped
-
-
-def stretches(target: FloatArray, image: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """(t,) largest and smallest singular value of the map's differential on every target triangle.
-
-    From the first fundamental forms G of the target's and H of the image's triangle: squared singular values are the
-    eigenvalues of ``G^{-1} H``. Degenerate target triangles count as unstretched.
-    """
-    g11, g12, g22 = _first_form(target, triangles)
-    h11, h12, h22 = _first_form(image, triangles)
-    determinant = g11 * g22 - g12**2
-    usable = determinant > 1e-12 * (g11 + g22) ** 2
-    safe = np.where(usable, determinant, 1.0)
-    half_trace = np.where(usable, (g22 * h11 - 2 * g12 * h12 + g11 * h22) / (2 * safe), 1.0)
-    product = np.where(usable, np.maximum(h11 * h22 - h12**2, 0) / safe, 1.0)
-    spread = np.sqrt(np.maximum(half_trace**2 - product, 0))
-    return np.sqrt(half_trace + spread), np.sqrt(np.maximum(half_trace - spread, 0))
-
-
-def covered_share(
-    target: FloatArray, image: FloatArray, triangles: IndexArray, source: TriangleSurface, masks: Masks = WHOLE
-) -> float:
-    """Share of the source's area, weighted by masks, that the images (n1, 3) of the target cover.
-
-    A point of the source is covered by an image triangle that faces the same way, is less than 60 degrees from the
-    point's normal, and is no farther than half its longest edge, on the target and in the image. So flat triangles of a
-    coarse target cover the curved surface under them, and triangles stretched over a gap do not.
-    """
-    points = SurfacePoints.evenly_spread(source, COVERAGE_SAMPLES)
-    normals = normalize_rows(points.interpolate(source.vertex_normals))
-    reach = 0.5 * np.minimum(longest_edges(target, triangles), longest_edges(image, triangles))
-    nearest, barycentric, distance = closest_points(
-        build_tree(image, triangles), points.positions, normals, minimum_cosine=0.0, within=reach.max() + ON_SURFACE
-    )
-    offsets = points.positions - np.einsum("mk,mkd->md", barycentric, image[triangles[nearest]])
-    above = np.abs(np.einsum("md,md->m", offsets, normals)) >= 0.5 * distance
-    covered = (nearest >= 0) & (distance <= reach[nearest] + ON_SURFACE) & (above | (distance <= ON_SURFACE))
-    counts = masks.at_source(points)
-    return float(counts[covered].sum() / counts.sum())
-
-
-def longest_edges(positions: FloatArray, triangles: IndexArray) -> FloatArray:
-    """(t,) length of the longest edge of every triangle (t, 3)."""
-    first, second, third = (positions.take(triangles[:, k], axis=0) for k in range(3))
-    return np.maximum(np.maximum(row_lengths(second - first), row_lengths(third - second)), row_lengths(first - third))
-
-
-def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
-    """(p,) distances between landmarks' images, projected to the source, and their source points, of sqrt(area)."""
-    if not len(landmarks):
-        return np.zeros(0)
-    means = landmarks.target.interpolate(point_map.images.positions)
-    images = SurfacePoints.nearest(point_map.source, means, guess=landmarks.source.triangle).positions
-    return np.linalg.norm(images - landmarks.source.positions, axis=1)
-
-
-def distortion(sigma: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """(t,) ``max(sigma_1, 1 / sigma_2)`` of `stretches`: 1 for an isometry."""
-    return np.maximum(sigma[0], 1 / np.maximum(sigma[1], 1e-6))
-
-
-def trust_field(
-    target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
-) -> FloatArray:
-    """(n1,) means of triangles' ``min(1, (TRUSTED_STRETCH / d)^2)``, d their `distortion`, or 0 where flipped."""
-    per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
-    areas = target.areas
-    weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
-    return np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
-
-
 @kinds_checked
 def judge(
     target: Surface, point_map: PointMap, landmarks: PointPairs | None = None, masks: Masks = WHOLE
@@ -255,17 +158,108 @@ def measure_quality(
     return replace(figures, warnings=(*figures.warnings, *found))
 
 
-def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ...]:
-    """Warnings about area without a counterpart on the other surface, from the shares with one."""
-    messages = []
-    if target_share < COVERAGE_TOLERANCE:
-        messages.append(
-            f"{100 * (1 - target_share):.1f} % of the target has no counterpart on the source: it receives what the "
-            "nearest places that have one receive. Mask it, if it is to keep its own"
-        )
-    if source_share < COVERAGE_TOLERANCE:
-        messages.append(f"{100 * (1 - source_share):.1f} % of the source has no counterpart on the target")
-    return tuple(messages)
+def covered_share(
+    target: FloatArray, image: FloatArray, triangles: IndexArray, source: TriangleSurface, masks: Masks = WHOLE
+) -> float:
+    """Share of the source's area, weighted by masks, that the images (n1, 3) of the target cover.
+
+    A point of the source is covered by an image triangle that faces the same way, is less than 60 degrees from the
+    point's normal, and is no farther than half its longest edge, on the target and in the image. So flat triangles of a
+    coarse target cover the curved surface under them, and triangles stretched over a gap do not.
+    """
+    points = SurfacePoints.evenly_spread(source, COVERAGE_SAMPLES)
+    normals = normalize_rows(points.interpolate(source.vertex_normals))
+    reach = 0.5 * np.minimum(longest_edges(target, triangles), longest_edges(image, triangles))
+    nearest, barycentric, distance = closest_points(
+        build_tree(image, triangles), points.positions, normals, minimum_cosine=0.0, within=reach.max() + ON_SURFACE
+    )
+    offsets = points.positions - np.einsum("mk,mkd->md", barycentric, image[triangles[nearest]])
+    above = np.abs(np.einsum("md,md->m", offsets, normals)) >= 0.5 * distance
+    covered = (nearest >= 0) & (distance <= reach[nearest] + ON_SURFACE) & (above | (distance <= ON_SURFACE))
+    counts = masks.at_source(points)
+    return float(counts[covered].sum() / counts.sum())
+
+
+def longest_edges(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t,) length of the longest edge of every triangle (t, 3)."""
+    first, second, third = (positions.take(triangles[:, k], axis=0) for k in range(3))
+    return np.maximum(np.maximum(row_lengths(second - first), row_lengths(third - second)), row_lengths(first - third))
+
+
+def stretches(target: FloatArray, image: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """(t,) largest and smallest singular value of the map's differential on every target triangle.
+
+    From the first fundamental forms G of the target's and H of the image's triangle: squared singular values are the
+    eigenvalues of ``G^{-1} H``. Degenerate target triangles count as unstretched.
+    """
+    g11, g12, g22 = _first_form(target, triangles)
+    h11, h12, h22 = _first_form(image, triangles)
+    determinant = g11 * g22 - g12**2
+    usable = determinant > 1e-12 * (g11 + g22) ** 2
+    safe = np.where(usable, determinant, 1.0)
+    half_trace = np.where(usable, (g22 * h11 - 2 * g12 * h12 + g11 * h22) / (2 * safe), 1.0)
+    product = np.where(usable, np.maximum(h11 * h22 - h12**2, 0) / safe, 1.0)
+    spread = np.sqrt(np.maximum(half_trace**2 - product, 0))
+    return np.sqrt(half_trace + spread), np.sqrt(np.maximum(half_trace - spread, 0))
+
+
+def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(t,) inner products e1.e1, e1.e2, e2.e2 of the two edges leaving a triangle's first corner."""
+    first, second, third = (positions.take(triangles[:, k], axis=0) for k in range(3))
+    e1, e2 = second - first, third - first
+    return np.einsum("td,td->t", e1, e1), np.einsum("td,td->t", e1, e2), np.einsum("td,td->t", e2, e2)
+
+
+def distortion(sigma: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """(t,) ``max(sigma_1, 1 / sigma_2)`` of `stretches`: 1 for an isometry."""
+    return np.maximum(sigma[0], 1 / np.maximum(sigma[1], 1e-6))
+
+
+def trust_field(
+    target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
+) -> FloatArray:
+    """(n1,) means of triangles' ``min(1, (TRUSTED_STRETCH / d)^2)``, d their `distortion`, or 0 where flipped."""
+    per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
+    areas = target.areas
+    weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
+    return np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
+
+
+def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
+    """(p,) distances between landmarks' images, projected to the source, and their source points, of sqrt(area)."""
+    if not len(landmarks):
+        return np.zeros(0)
+    means = landmarks.target.interpolate(point_map.images.positions)
+    images = SurfacePoints.nearest(point_map.source, means, guess=landmarks.source.triangle).positions
+    return np.linalg.norm(images - landmarks.source.positions, axis=1)
+
+
+def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[np.bool_]:
+    """(t1,) target triangles whose image faces against the sum of the source's normals at its corners."""
+    return inverted_triangles(images.positions, images.normals, triangles)
+
+
+def inverted_triangles(positions: FloatArray, normals: FloatArray, triangles: IndexArray) -> NDArray[np.bool_]:
+    """(t,) which triangles (t, 3) face against the sum of the normals (n, 3) at their corners (n, 3)."""
+    flipped = np.empty(len(triangles), dtype=np.bool_)
+
+    def fill(part: slice) -> None:
+        corners = triangles[part]
+        expected = sum(normals.take(corners[:, k], axis=0) for k in range(3))
+        flipped[part] = np.einsum("td,td->t", triangle_normals(positions, corners), expected) < 0
+
+    in_threads(fill, row_slices(len(triangles), CACHED))
+    return flipped
+
+
+def _source_normals(images: SurfacePoints) -> FloatArray:
+    """(m, 3) normals at images; vertex normals at vertices, since triangles at sharp vertices mislead."""
+    at_vertex = np.flatnonzero(images.barycentric.max(axis=1) == 1.0)
+    if not len(at_vertex):
+        return images.normals
+    normals = images.normals.copy()
+    normals[at_vertex] = images.surface.vertex_normals[images.at(at_vertex).heaviest_corners]
+    return normals
 
 
 def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequence[float]) -> FloatArray:
@@ -276,21 +270,6 @@ def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequ
     cumulative /= weights.sum()
     places = np.minimum(np.searchsorted(cumulative, np.asarray(percents) / 100), len(values) - 1)
     return np.asarray(values[order[places]])
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else float(value)
-
-
-def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(t,) inner products e1.e1, e1.e2, e2.e2 of the two edges leaving a triangle's first corner."""
-    first, second, third = (positions.take(triangles[:, k], axis=0) for k in range(3))
-    e1, e2 = second - first, third - first
-    return np.einsum("td,td->t", e1, e1), np.einsum("td,td->t", e1, e2), np.einsum("td,td->t", e2, e2)
 
 
 def _warnings(
@@ -322,3 +301,24 @@ def _warnings(
     if untrusted > 0.1:
         messages.append(f"the map stretches strongly over {100 * untrusted:.0f} % of the target's {area}, {where}")
     return messages
+
+
+def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ...]:
+    """Warnings about area without a counterpart on the other surface, from the shares with one."""
+    messages = []
+    if target_share < COVERAGE_TOLERANCE:
+        messages.append(
+            f"{100 * (1 - target_share):.1f} % of the target has no counterpart on the source: it receives what the "
+            "nearest places that have one receive. Mask it, if it is to keep its own"
+        )
+    if source_share < COVERAGE_TOLERANCE:
+        messages.append(f"{100 * (1 - source_share):.1f} % of the source has no counterpart on the target")
+    return tuple(messages)
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else float(value)

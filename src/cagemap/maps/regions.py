@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangles import corner_sums
 
 
-@dataclass(frozen=True)
-class RegionFigures:
+class RegionFigures(NamedTuple):
     """Median stretch of a map over the region of the target around one landmark."""
 
     landmark: str  #: name of the landmark
@@ -26,15 +25,6 @@ class RegionFigures:
     size: float
     aspect_ratio: float  #: median ratio of the singular values of the map's differential: 1 for a conformal map
     folded: float  #: share of the region whose image is folded over
-
-
-def local_size(result: MatchResult) -> FloatArray:
-    """(n1,) length on the target per length on the source at target vertices; corresponding parts have equal area."""
-    target, sigma = result.point_map.target, _stretches(result)
-    # Sum the areas of a vertex's triangles, and of their images, before dividing.
-    areas = np.column_stack([target.areas, target.areas * sigma[0] * sigma[1]])
-    target_areas, image_areas = corner_sums(target.triangles, areas, target.n).T
-    return np.sqrt(np.divide(target_areas, image_areas, out=np.ones(target.n), where=image_areas > 0))
 
 
 @kinds_checked
@@ -70,6 +60,15 @@ def region_figures(result: MatchResult) -> tuple[RegionFigures, ...]:
             )
         )
     return tuple(figures)
+
+
+def local_size(result: MatchResult) -> FloatArray:
+    """(n1,) length on the target per length on the source at target vertices; corresponding parts have equal area."""
+    target, sigma = result.point_map.target, _stretches(result)
+    # Sum the areas of a vertex's triangles, and of their images, before dividing.
+    areas = np.column_stack([target.areas, target.areas * sigma[0] * sigma[1]])
+    target_areas, image_areas = corner_sums(target.triangles, areas, target.n).T
+    return np.sqrt(np.divide(target_areas, image_areas, out=np.ones(target.n), where=image_areas > 0))
 
 
 def _stretches(result: MatchResult) -> tuple[FloatArray, FloatArray]:

@@ -1,7 +1,7 @@
 """Confidence in a map without ground truth: signs of a wrong map, verdict, other answers.
 
 A placement that is offered to the user under a name is an answer; the map is made from the first one. Each sign has a
-bound (`WARNING_SIGNS`).
+bound (`SIGN_BOUNDS`).
 """
 
 from __future__ import annotations
@@ -29,47 +29,42 @@ from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
-
-@dataclass(frozen=True)
-class WarningSign:
-    """One sign of a wrong map."""
-
-    bound: float  # largest value for the verdict "sure"
-    finding: str  # message to the user above the bound, with ``{value}`` or ``{percent}``
-
-
-# In the order of a message. How each bound was chosen and judged: docs/lab/judge.md.
-WARNING_SIGNS: dict[str, WarningSign] = {
+# Signs of a wrong map, and their largest values for the verdict "sure", in the order of a message. How each bound was
+# chosen and judged: docs/lab/judge.md.
+SIGN_BOUNDS: dict[str, float] = {
     # `mirrored_gain`: cost on the source, divided by the cost on its mirror image.
-    "mirrored": WarningSign(
-        1.2,
-        "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses with left "
-        "and right exchanged. If so, mirror one of the files",
-    ),
+    "mirrored": 1.2,
     # Share of the target's area at which the map jumps: distant parts of the target are on one place of the source.
-    "jumps": WarningSign(0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
+    "jumps": 0.03,
     # Share of the larger surface without a counterpart, if `stretched` is beyond its bound at equal area only.
-    "small_part": WarningSign(
-        1.0 - WHOLE_SHARE,
-        "{percent:.0f} % of the larger model has no counterpart, and so small a part may fit in other places too",
-    ),
+    "small_part": 1.0 - WHOLE_SHARE,
     # Median `distortion`, by the target's area. Both surfaces have unit area, parts too: relative to the shared area,
     # wrong places of small parts were 'sure' (docs/lab/parts.md).
-    "stretched": WarningSign(
-        1.55, "with both at equal area, it stretches or compresses half of the target {value:.1f} times or more"
-    ),
+    "stretched": 1.55,
     # The same of coincident surfaces in one unit. Clothes have up to 1.45, a cup inside the wall of a larger one 1.81.
-    "squeezed": WarningSign(
-        1.55, "the closest points stretch or compress half of the target {value:.1f} times or more"
-    ),
+    "squeezed": 1.55,
     # Share of the target's area that another answer of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
-    "limb_turned": WarningSign(0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
+    "limb_turned": 0.08,
     # Cost x 1e4 of an answer that turns the files' axes; 0 for others.
-    "turned": WarningSign(1.0, "files seldom stand in different directions, and the shapes differ"),
+    "turned": 1.0,
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
-    "cost": WarningSign(7.0, "the shapes differ much"),
+    "cost": 7.0,
     # Cost divided by that of the second answer; 0 if there is none.
-    "runner_up": WarningSign(1 / 1.3, "another alignment fits almost as well"),
+    "runner_up": 1 / 1.3,
+}
+# Messages to the user above the bounds.
+SIGN_MESSAGES: dict[str, str] = {
+    "mirrored": "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses "
+    "with left and right exchanged. If so, mirror one of the files",
+    "jumps": "it jumps between parts that only touch, at {percent:.0f} % of the target",
+    "small_part": "{percent:.0f} % of the larger model has no counterpart, and so small a part may fit in other places "
+    "too",
+    "stretched": "with both at equal area, it stretches or compresses half of the target {value:.1f} times or more",
+    "squeezed": "the closest points stretch or compress half of the target {value:.1f} times or more",
+    "limb_turned": "a map that rotates {percent:.0f} % of the target otherwise fits almost as well",
+    "turned": "files seldom stand in different directions, and the shapes differ",
+    "cost": "the shapes differ much",
+    "runner_up": "another alignment fits almost as well",
 }
 # Least `runner_up` for the verdict 'two answers'.
 TIE = 1 / 1.12
@@ -101,7 +96,7 @@ class Confidence:
     #: different placements of the deformed level's vertices, the best first; in a result, of all vertices of a plain
     #: target
     answers: tuple[Placement, ...]
-    signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `WARNING_SIGNS`
+    signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `SIGN_BOUNDS`
     deciding: int | None = None  #: control vertex of the target where a landmark would decide
     file_vertex: FileVertex | None = None  #: this vertex in the target's file
     part: str = ""  #: name of the part, if a result has several
@@ -181,59 +176,6 @@ class Confidence:
         }
 
 
-def answer_confidence(
-    problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: Masks | None, jumps: FloatArray
-) -> Confidence:
-    """Confidence in the map of the first of several answers, from the `WARNING_SIGNS` of a wrong map.
-
-    ``jumps`` are the map's `jump_lengths` (n,). Area that is masked or not shared is ignored.
-    """
-    prepared, controls = problem.prepared, problem.prepared.control_vertices
-    surfaces, masks = (point_map.target, point_map.source), prepared.masks.within(shared)
-    weights, max_stretch = masks.of_target(point_map.target.n), WARNING_SIGNS["stretched"].bound
-    signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
-    ratio = masks.length_ratio(*surfaces)
-    if shared is not None and median_distortion(point_map, weights, ratio) <= max_stretch < signs["stretched"]:
-        signs["small_part"] = 1.0 - min(shared.shares(*surfaces))
-    confidence = Confidence.of(answers, controls, signs, weights)
-    if confidence.verdict == SURE:  # as slow as all other signs: only where none of them is beyond its bound
-        signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
-        confidence = Confidence.of(answers, controls, signs, weights)
-    if signs["jumps"] > WARNING_SIGNS["jumps"].bound:  # a landmark at the jump decides, not where answers differ
-        places = prepared.mesh.positions
-        nearest = cKDTree(places[: len(controls)]).query(places[jumps.argmax()])[1]
-        confidence = replace(confidence, deciding=int(controls[nearest]))
-    return confidence
-
-
-def kept_confidence(before: Confidence | None, problem: Problem) -> Confidence | None:
-    """The confidence if all its answers fit all landmarks of a problem, none of which is at its vertex; else None."""
-    prepared, places = problem.prepared, problem.landmarks.source.positions
-    vertices = problem.landmark_vertices[0]
-    if before is None or before.deciding in prepared.vertices[vertices]:
-        return None
-    if prepared.target.refinement.is_plain:  # whose answers have all vertices
-        vertices = prepared.vertices[vertices]
-    if vertices.max(initial=-1) >= min(len(answer.positions) for answer in before.answers):
-        return None  # answers of a result that was read: at control vertices only
-    errors = np.linalg.norm([answer.positions[vertices] - places for answer in before.answers], axis=2)
-    return before if errors.max(initial=0.0) < prepared.elastic.landmarks.max_confirmed_miss else None
-
-
-def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
-    """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
-    best, max_share = ranked[0], WARNING_SIGNS["limb_turned"].bound
-    for other in ranked[1:]:
-        share = turned_share(prepared.mesh, best.positions, other.positions)
-        if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > max_share:
-            answers = best.as_answer(AS_GIVEN), other.as_answer("with a limb turned otherwise about its axis")
-            apart = np.linalg.norm(best.positions - other.positions, axis=1)
-            controls = prepared.control_vertices
-            deciding = int(controls[apart[: len(controls)].argmax()])
-            return Confidence(LOOK, answers, cost_signs(answers) | {"limb_turned": share}, deciding)
-    return None
-
-
 def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
     """Signs derived from the costs of answers, best first."""
     best, *different = answers
@@ -242,26 +184,35 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
     return {"cost": cost, "turned": cost if best.penalty > 1.0 else 0.0, "runner_up": runner_up}
 
 
-def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
-    """Prolong answers to all vertices of a plain target; describe the deciding vertex."""
-    target, deciding = prepared.target, confidence.deciding
-    if deciding is not None:
-        confidence = replace(confidence, file_vertex=target.control.file_vertex(deciding))
-    if not target.refinement.is_plain:
-        return confidence
-
-    def prolonged(answer: Placement) -> Placement:
-        places = np.array(target.hierarchy.prolong(answer.positions, prepared.levels[0], target.finest_level))
-        places[prepared.vertices] = answer.positions  # prolongation would smooth the known positions
-        return replace(answer, positions=places)
-
-    return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))
-
-
 def describe_signs(signs: Mapping[str, float]) -> list[str]:
     """Messages to the user about the signs above their bounds."""
-    beyond = [(sign, signs[name]) for name, sign in WARNING_SIGNS.items() if signs.get(name, 0.0) > sign.bound]
-    return [sign.finding.format(value=value, percent=100 * value) for sign, value in beyond]
+    beyond = [(SIGN_MESSAGES[name], signs[name]) for name, bound in SIGN_BOUNDS.items() if signs.get(name, 0.0) > bound]
+    return [message.format(value=value, percent=100 * value) for message, value in beyond]
+
+
+def answer_confidence(
+    problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: Masks | None, jumps: FloatArray
+) -> Confidence:
+    """Confidence in the map of the first of several answers, from the `SIGN_BOUNDS` of a wrong map.
+
+    ``jumps`` are the map's `jump_lengths` (n,). Area that is masked or not shared is ignored.
+    """
+    prepared, controls = problem.prepared, problem.prepared.control_vertices
+    surfaces, masks = (point_map.target, point_map.source), prepared.masks.within(shared)
+    weights, max_stretch = masks.of_target(point_map.target.n), SIGN_BOUNDS["stretched"]
+    signs = {"jumps": jump_share(prepared, jumps), "stretched": median_distortion(point_map, weights)}
+    ratio = masks.length_ratio(*surfaces)
+    if shared is not None and median_distortion(point_map, weights, ratio) <= max_stretch < signs["stretched"]:
+        signs["small_part"] = 1.0 - min(shared.shares(*surfaces))
+    confidence = Confidence.of(answers, controls, signs, weights)
+    if confidence.verdict == SURE:  # as slow as all other signs: only where none of them is beyond its bound
+        signs["mirrored"] = mirrored_gain(problem, answers[0].positions)
+        confidence = Confidence.of(answers, controls, signs, weights)
+    if signs["jumps"] > SIGN_BOUNDS["jumps"]:  # a landmark at the jump decides, not where answers differ
+        places = prepared.mesh.positions
+        nearest = cKDTree(places[: len(controls)]).query(places[jumps.argmax()])[1]
+        confidence = replace(confidence, deciding=int(controls[nearest]))
+    return confidence
 
 
 def median_distortion(found: PointMap, weights: FloatArray | None = None, ratio: float = 1.0) -> float:
@@ -299,30 +250,6 @@ def jump_lengths(prepared: PreparedPair, found: PointMap, shared: Masks | None =
     return farthest
 
 
-def jump_share(prepared: PreparedPair, jumps: FloatArray) -> float:
-    """Share of the target's area at which a map jumps, from `jump_lengths` (n,)."""
-    return float(prepared.energy.graph.areas[jumps > 0].sum())
-
-
-def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
-    """A warning if `jump_lengths` (n,) are not 0 on more area than the bound allows."""
-    share = jump_share(prepared, jumps)
-    if share <= WARNING_SIGNS["jumps"].bound:
-        return ()
-    place = place_text(prepared.mesh.positions[jumps.argmax()] / prepared.mesh.scale)
-    return (
-        f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at {place} of the target's file. Add "
-        "landmarks on these parts",
-    )
-
-
-def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
-    """Share of a mesh's area whose normals differ by `TURNED_DEGREES` or more between two placements (n, 3)."""
-    normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
-    areas = mesh.vertex_areas
-    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURNED_DEGREES))].sum() / areas.sum())
-
-
 def image_pairs(places: FloatArray, normals: FloatArray) -> IndexArray:
     """(m, 2) vertices whose images (n, 3) are near each other and face the same way."""
     radius = NEAR_SPACINGS / np.sqrt(len(places))
@@ -340,6 +267,23 @@ def distances_apart(distances: FloatArray, pairs: IndexArray) -> FloatArray:
     for row in np.where(np.isfinite(distances), distances, np.nan):
         apart = np.fmax(apart, np.abs(row[pairs[:, 0]] - row[pairs[:, 1]]))
     return apart
+
+
+def jump_share(prepared: PreparedPair, jumps: FloatArray) -> float:
+    """Share of the target's area at which a map jumps, from `jump_lengths` (n,)."""
+    return float(prepared.energy.graph.areas[jumps > 0].sum())
+
+
+def jump_warnings(prepared: PreparedPair, jumps: FloatArray) -> tuple[str, ...]:
+    """A warning if `jump_lengths` (n,) are not 0 on more area than the bound allows."""
+    share = jump_share(prepared, jumps)
+    if share <= SIGN_BOUNDS["jumps"]:
+        return ()
+    place = place_text(prepared.mesh.positions[jumps.argmax()] / prepared.mesh.scale)
+    return (
+        f"{JUMPING}, at {100 * share:.1f} % of the target's area, most at {place} of the target's file. Add "
+        "landmarks on these parts",
+    )
 
 
 def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
@@ -390,3 +334,52 @@ def mirrored_constraints(clusters: Clusters) -> Clusters:
     )
     constraints = replace(constraints, places=constraints.places * MIRROR_X, curves=tuple(curves))
     return replace(clusters, constraints=constraints)
+
+
+def kept_confidence(before: Confidence | None, problem: Problem) -> Confidence | None:
+    """The confidence if all its answers fit all landmarks of a problem, none of which is at its vertex; else None."""
+    prepared, places = problem.prepared, problem.landmarks.source.positions
+    vertices = problem.landmark_vertices[0]
+    if before is None or before.deciding in prepared.vertices[vertices]:
+        return None
+    if prepared.target.refinement.is_plain:  # whose answers have all vertices
+        vertices = prepared.vertices[vertices]
+    if vertices.max(initial=-1) >= min(len(answer.positions) for answer in before.answers):
+        return None  # answers of a result that was read: at control vertices only
+    errors = np.linalg.norm([answer.positions[vertices] - places for answer in before.answers], axis=2)
+    return before if errors.max(initial=0.0) < prepared.elastic.landmarks.max_confirmed_miss else None
+
+
+def turned_limb_answers(ranked: Sequence[Placement], prepared: PreparedPair) -> Confidence | None:
+    """Confidence 'look at it' with both placements that differ in a turned limb; None if there is none."""
+    best, max_share = ranked[0], SIGN_BOUNDS["limb_turned"]
+    for other in ranked[1:]:
+        share = turned_share(prepared.mesh, best.positions, other.positions)
+        if other.cost <= prepared.elastic.search.max_equal_cost * best.cost and share > max_share:
+            answers = best.as_answer(AS_GIVEN), other.as_answer("with a limb turned otherwise about its axis")
+            confidence = Confidence.of(answers, prepared.control_vertices, {"limb_turned": share})
+            return replace(confidence, verdict=LOOK)
+    return None
+
+
+def turned_share(mesh: TriangleSurface, positions: FloatArray, others: FloatArray) -> float:
+    """Share of a mesh's area whose normals differ by `TURNED_DEGREES` or more between two placements (n, 3)."""
+    normals, turned = (vertex_normals(places, mesh.triangles) for places in (positions, others))
+    areas = mesh.vertex_areas
+    return float(areas[(normals * turned).sum(axis=1) <= np.cos(np.radians(TURNED_DEGREES))].sum() / areas.sum())
+
+
+def prolong_answers(confidence: Confidence, prepared: PreparedPair) -> Confidence:
+    """Prolong answers to all vertices of a plain target; describe the deciding vertex."""
+    target, deciding = prepared.target, confidence.deciding
+    if deciding is not None:
+        confidence = replace(confidence, file_vertex=target.control.file_vertex(deciding))
+    if not target.refinement.is_plain:
+        return confidence
+
+    def prolonged(answer: Placement) -> Placement:
+        places = np.array(target.hierarchy.prolong(answer.positions, prepared.levels[0], target.finest_level))
+        places[prepared.vertices] = answer.positions  # prolongation would smooth the known positions
+        return replace(answer, positions=places)
+
+    return replace(confidence, answers=tuple(prolonged(answer) for answer in confidence.answers))

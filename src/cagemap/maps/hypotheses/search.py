@@ -47,103 +47,35 @@ from cagemap.numerics.threads import in_threads, thread_limit
 ANOTHER_WAY = " (limbs assigned differently)"
 
 
-def cost_floor(prepared: PreparedPair) -> float:
-    """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
+def search_both_ways(
+    problem: Problem, progress: Progress = no_progress, show: Callable[[Placement], None] = lambda _: None
+) -> list[Placement]:
+    """Placements of `search_placements`; for some pairs with those of the reverse problem, which deforms the source.
 
-    Scaled by what the masks leave, as the cost of a fit is.
+    If one surface is open and the other closed (a part and a whole, docs/lab/parts.md), the inverses of all reverse
+    placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
+    more than ``max_one_way_cost`` (docs/lab/search.md); the inverse of the best reverse placement then comes first if
+    it costs less and is farther than ``max_start_distance`` from the best placement, on average. Only the first of all
+    is finished then, if it costs more than ``same_kind_cost`` (its cost after step 5; `search_placements` compares the
+    lowest cost of all before that step).
     """
-    graph, surface = prepared.energy.graph, fitted_surface(prepared.target, prepared.elastic)
-    on_itself = replace(prepared, masks=WHOLE, source_surface=surface)
-    shares = graph.areas @ prepared.level_masks.of_target(graph.n), prepared.source_samples.areas.sum()
-    return float(min(shares)) * evaluate_placement(on_itself, graph.positions).cost
-
-
-def fit_small_graph(
-    problem: Problem, with_rotations: bool, show: Callable[[Placement], None]
-) -> tuple[list[tuple[Tips, Placement]], list[Placement]]:
-    """Best fits of a small graph, cheapest first: of assigned limbs, with their tips; and all to fit without tips.
-
-    The second list has those of assigned limbs too: tips of limbs of unlike length do not correspond. With rotations,
-    rotated starts are tried unless an assignment is plausible, and fits get a `rotation_penalty`. ``show`` gets the
-    best fit of the starts with `usual_rotations`, then the best of all.
-    """
-    prepared, small = problem.prepared, problem.small_clusters
-    config, graph, usual = prepared.elastic.search, small.energy.graph, usual_rotations(prepared)
-
-    def fit_start(start: Placement, clusters: Clusters = small) -> Placement:
-        with thread_limit(1):  # one thread for each start: its steps are too short to be split
-            placed = coarse_fit(problem, start.positions, clusters)
-        rotation = axis_rotation(clusters.energy.graph.areas, placed.maps)
-        penalty = rotation_penalty(rotation, prepared) if with_rotations else 1.0
-        return replace(placed, name=rotation_name(rotation, usual), penalty=penalty)
-
-    def start_of_limbs(tips: Tips) -> tuple[Tips, Clusters, Placement]:
-        clusters = problem.clusters_with(tips, config.small_graph_stage, config.small_graph_vertices)
-        return tips, clusters, evaluate_clusters(prepared, clusters, zoomout_start(problem, clusters))
-
-    unmoved = unmoved_start(prepared, graph.positions)
-    starts = [*unmoved, *rigid_starts(graph.positions, graph.areas, prepared.source_surface, usual)]
-    first = starts[: len(unmoved) + STARTS_PER_ROTATION * len(usual)]
-    unrotated = distinct_placements(first, graph.areas, config.min_start_distance)
-    rigid_fits = rank_placements(in_threads(fit_start, unrotated))
-    show(rigid_fits[0])
-    likely = sorted(in_threads(start_of_limbs, assigned_limbs(problem)), key=lambda start: start[2].cost)
-    likely = likely[: config.max_fitted_assignments]
-    limb_fits = in_threads(lambda start: (start[0], fit_start(start[2], start[1])), likely)
-    limb_fits = sorted(limb_fits, key=lambda fit: fit[1].penalised_cost)[: config.max_assigned]
-    # A part has a low cost in many places: only the fit of the whole is conclusive.
-    if limb_fits and not unmoved and limb_fits[0][1].penalised_cost > config.max_cost * rigid_fits[0].penalised_cost:
-        limb_fits = []
-    if with_rotations and not limb_fits:
-        # Of similar starts the first is kept: the distinct unrotated ones come first.
-        rotated = distinct_placements(starts, graph.areas, config.min_start_distance)[len(unrotated) :]
-        rigid_fits = rank_placements([*rigid_fits, *in_threads(fit_start, rotated)])
-    show(rank_placements([*(placed for _, placed in limb_fits), *rigid_fits])[0])
-    as_filed = [placed for placed in rigid_fits if placed.penalty <= 1.0][:1]
-    if not limb_fits:
-        distinct = distinct_placements(rigid_fits, graph.areas, config.min_answer_distance)[: config.max_coarse]
-        return [], distinct_placements([*distinct, *as_filed], graph.areas, config.min_answer_distance)
-    max_cost = config.max_cost * limb_fits[0][1].penalised_cost
-    limb_fits = [(tips, placed) for tips, placed in limb_fits if placed.penalised_cost <= max_cost]
-    return limb_fits, [*(placed for _, placed in limb_fits), *as_filed]
-
-
-def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[Placement]:
-    """Fine placements from fits of the small graph and their spectral starts: the best of each, if they differ."""
-    graph, starts = problem.coarse_clusters.energy.graph, spectral_starts(problem, problem.coarse_clusters)
-    config = problem.prepared.elastic.search
-
-    def fit_coarse(small_fit: Placement) -> list[Placement]:
-        with thread_limit(1):
-            first = coarse_fit(problem, small_fit.extrapolate_to(graph, problem.prepared.elastic.graph))
-            coarse = sort_by_cost([first, *(coarse_fit(problem, start) for start in starts(first))])
-        return [placed.with_start_of(small_fit) for placed in coarse]
-
-    candidates = sorted(in_threads(fit_coarse, small_fits), key=lambda coarse: coarse[0].penalised_cost)
-    distinct = distinct_placements([coarse[0] for coarse in candidates], graph.areas, config.min_answer_distance)
-    max_cost = config.max_finish_cost * candidates[0][0].penalised_cost
-    cheap = [coarse for coarse in candidates if coarse[0] in distinct and coarse[0].penalised_cost <= max_cost]
-
-    def fit_fine(coarse: list[Placement]) -> Placement:
-        most = None if coarse is candidates[0] else 1
-        return refine_cheapest(problem, coarse, most)[0].with_start_of(coarse[0])
-
-    return in_threads(fit_fine, cheap[: config.max_refined])
-
-
-def fit_limbs_stiffly(
-    problem: Problem, limb_fits: Sequence[tuple[Tips, Placement]], max_ratio: float
-) -> list[tuple[Clusters, Placement, StartFits]]:
-    """Clusters, small fit and stiff coarse fits of each assignment of limbs.
-
-    Left out: assignments that cost more than ``max_ratio`` times the cheapest one.
-    """
-    fits, stage = list[tuple[Clusters, Placement, StartFits]](), problem.prepared.elastic.stiff_coarse
-    for tips, small_fit in limb_fits:
-        clusters = problem.clusters_with(tips)
-        fits.append((clusters, small_fit, fit_both_starts(problem, clusters.with_stage(stage))))
-    costs = [small_fit.penalty * min(placed.cost for placed in coarse) for _, small_fit, (coarse, _) in fits]
-    return [fit for fit, cost in zip(fits, costs, strict=True) if cost <= max_ratio * min(costs)]
+    prepared, reverse_problem = problem.prepared, problem.reverse_problem
+    config, areas = prepared.elastic.search, prepared.energy.graph.areas
+    if prepared.mesh.is_open != prepared.source_surface.is_open:
+        placements = search_placements(problem, progress, show=show)
+        reverse = search_placements(reverse_problem, progress)
+        return rank_placements([*placements, *(inverse_placement(problem, placed) for placed in reverse)])
+    placements = search_placements(problem, progress, show=show, finish=False)
+    best = placements[0]
+    if best.cost > config.max_one_way_cost:
+        reverse = search_placements(reverse_problem, progress, finish=False)
+        if reverse[0].penalised_cost < best.penalised_cost:
+            inverse = inverse_placement(problem, reverse[0])
+            if mean_distance(inverse.positions, best.positions, areas) > config.max_start_distance:
+                placements = [inverse, *placements]
+    if placements[0].cost <= config.same_kind_cost:
+        return placements
+    return [finish_placement(problem, placements[0]), *placements[1:]]
 
 
 def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
@@ -199,7 +131,8 @@ def search_placements(
         for clusters, small_fit, stiff_fits in fit_limbs_stiffly(problem, limb_fits, max_ratio):
             fine, soft = fit_from_two_starts(problem, clusters, stiff_fits=stiff_fits)
             constrained.append((clusters, [placed.with_start_of(small_fit) for placed in fine], soft))
-        placements = fit_without_tips(problem, small_fits)
+        coarse = fit_without_tips(problem, small_fits)
+        placements = in_threads(lambda fits: refine_cheapest(problem, fits)[0].with_start_of(fits[0]), coarse)
     progress("elastic alignment")
     if constrained:
         (clusters, fine, soft), *others = sorted(constrained, key=lambda fits: fits[1][0].penalised_cost)
@@ -218,44 +151,102 @@ def search_placements(
     return [finish_placement(problem, ranked[0]), *ranked[1:]] if finish else ranked
 
 
-def search_both_ways(
-    problem: Problem, progress: Progress = no_progress, show: Callable[[Placement], None] = lambda _: None
-) -> list[Placement]:
-    """Placements of `search_placements`; for some pairs with those of the reverse problem, which deforms the source.
+def fit_small_graph(
+    problem: Problem, with_rotations: bool, show: Callable[[Placement], None]
+) -> tuple[list[tuple[Tips, Placement]], list[Placement]]:
+    """Best fits of a small graph, cheapest first: of assigned limbs, with their tips; and all to fit without tips.
 
-    If one surface is open and the other closed (a part and a whole, docs/lab/parts.md), the inverses of all reverse
-    placements are ranked with the others. Otherwise the reverse problem is searched only if the best placement costs
-    more than ``max_one_way_cost`` (docs/lab/search.md); the inverse of the best reverse placement then comes first if
-    it costs less and is farther than ``max_start_distance`` from the best placement, on average. Only the first of all
-    is finished then, if it costs more than ``same_kind_cost`` (its cost after step 5; `search_placements` compares the
-    lowest cost of all before that step).
+    The second list has those of assigned limbs too: tips of limbs of unlike length do not correspond. With rotations,
+    rotated starts are tried unless an assignment is plausible, and fits get a `rotation_penalty`. ``show`` gets the
+    best fit of the starts with `usual_rotations`, then the best of all.
     """
-    prepared, reverse_problem = problem.prepared, problem.reverse_problem
-    config, areas = prepared.elastic.search, prepared.energy.graph.areas
-    if prepared.mesh.is_open != prepared.source_surface.is_open:
-        placements = search_placements(problem, progress, show=show)
-        reverse = search_placements(reverse_problem, progress)
-        return rank_placements([*placements, *(inverse_placement(problem, placed) for placed in reverse)])
-    placements = search_placements(problem, progress, show=show, finish=False)
-    best = placements[0]
-    if best.cost > config.max_one_way_cost:
-        reverse = search_placements(reverse_problem, progress, finish=False)
-        if reverse[0].penalised_cost < best.penalised_cost:
-            inverse = inverse_placement(problem, reverse[0])
-            if mean_distance(inverse.positions, best.positions, areas) > config.max_start_distance:
-                placements = [inverse, *placements]
-    if placements[0].cost <= config.same_kind_cost:
-        return placements
-    return [finish_placement(problem, placements[0]), *placements[1:]]
+    prepared, small = problem.prepared, problem.small_clusters
+    config, graph, usual = prepared.elastic.search, small.energy.graph, usual_rotations(prepared)
+
+    def fit_start(start: Placement, clusters: Clusters = small) -> Placement:
+        with thread_limit(1):  # one thread for each start: its steps are too short to be split
+            placed = coarse_fit(problem, start.positions, clusters)
+        rotation = axis_rotation(clusters.energy.graph.areas, placed.maps)
+        penalty = rotation_penalty(rotation, prepared) if with_rotations else 1.0
+        return replace(placed, name=rotation_name(rotation, usual), penalty=penalty)
+
+    def start_of_limbs(tips: Tips) -> tuple[Tips, Clusters, Placement]:
+        clusters = problem.clusters_with(tips, config.small_graph_stage, config.small_graph_vertices)
+        return tips, clusters, evaluate_clusters(prepared, clusters, zoomout_start(problem, clusters))
+
+    unmoved = unmoved_start(prepared, graph.positions)
+    starts = [*unmoved, *rigid_starts(graph.positions, graph.areas, prepared.source_surface, usual)]
+    first = starts[: len(unmoved) + STARTS_PER_ROTATION * len(usual)]
+    unrotated = distinct_placements(first, graph.areas, config.min_start_distance)
+    rigid_fits = rank_placements(in_threads(fit_start, unrotated))
+    show(rigid_fits[0])
+    likely = sorted(in_threads(start_of_limbs, assigned_limbs(problem)), key=lambda start: start[2].cost)
+    likely = likely[: config.max_fitted_assignments]
+    limb_fits = in_threads(lambda start: (start[0], fit_start(start[2], start[1])), likely)
+    limb_fits = sorted(limb_fits, key=lambda fit: fit[1].penalised_cost)[: config.max_assigned]
+    # A part has a low cost in many places: only the fit of the whole is conclusive.
+    if limb_fits and not unmoved and limb_fits[0][1].penalised_cost > config.max_cost * rigid_fits[0].penalised_cost:
+        limb_fits = []
+    if with_rotations and not limb_fits:
+        # Of similar starts the first is kept: the distinct unrotated ones come first.
+        rotated = distinct_placements(starts, graph.areas, config.min_start_distance)[len(unrotated) :]
+        rigid_fits = rank_placements([*rigid_fits, *in_threads(fit_start, rotated)])
+    show(rank_placements([*(placed for _, placed in limb_fits), *rigid_fits])[0])
+    as_filed = [placed for placed in rigid_fits if placed.penalty <= 1.0][:1]
+    if not limb_fits:
+        distinct = distinct_placements(rigid_fits, graph.areas, config.min_answer_distance)[: config.max_coarse]
+        return [], distinct_placements([*distinct, *as_filed], graph.areas, config.min_answer_distance)
+    max_cost = config.max_cost * limb_fits[0][1].penalised_cost
+    limb_fits = [(tips, placed) for tips, placed in limb_fits if placed.penalised_cost <= max_cost]
+    return limb_fits, [*(placed for _, placed in limb_fits), *as_filed]
 
 
-@kinds_checked
-def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
-    """(n, 3) fitted positions of the target's deformed level near the source: the first of `search_placements`.
+def fit_limbs_stiffly(
+    problem: Problem, limb_fits: Sequence[tuple[Tips, Placement]], max_ratio: float
+) -> list[tuple[Clusters, Placement, StartFits]]:
+    """Clusters, small fit and stiff coarse fits of each assignment of limbs.
 
-    The source has area 1 in their unit. ParameterError if ``prepared`` is of other surfaces than the pair.
+    Left out: assignments that cost more than ``max_ratio`` times the cheapest one.
     """
-    return search_placements(Problem(prepared, pair.landmarks), progress)[0].map_positions
+    fits, stage = list[tuple[Clusters, Placement, StartFits]](), problem.prepared.elastic.stiff_coarse
+    for tips, small_fit in limb_fits:
+        clusters = problem.clusters_with(tips)
+        fits.append((clusters, small_fit, fit_both_starts(problem, clusters.with_stage(stage))))
+    costs = [small_fit.penalty * min(placed.cost for placed in coarse) for _, small_fit, (coarse, _) in fits]
+    return [fit for fit, cost in zip(fits, costs, strict=True) if cost <= max_ratio * min(costs)]
+
+
+def fit_without_tips(problem: Problem, small_fits: Sequence[Placement]) -> list[list[Placement]]:
+    """Coarse placements to refine: a list for each distinct fit of the small graph, the cheapest first.
+
+    They are fitted from it and from its spectral starts; only the first list has all of them, others have the cheapest.
+    """
+    graph, starts = problem.coarse_clusters.energy.graph, spectral_starts(problem, problem.coarse_clusters)
+    config = problem.prepared.elastic.search
+
+    def fit_coarse(small_fit: Placement) -> list[Placement]:
+        with thread_limit(1):
+            first = coarse_fit(problem, small_fit.extrapolate_to(graph, problem.prepared.elastic.graph))
+            coarse = sort_by_cost([first, *(coarse_fit(problem, start) for start in starts(first))])
+        return [placed.with_start_of(small_fit) for placed in coarse]
+
+    best, *others = sorted(in_threads(fit_coarse, small_fits), key=lambda coarse: coarse[0].penalised_cost)
+    first = [best[0], *(coarse[0] for coarse in others)]
+    distinct = distinct_placements(first, graph.areas, config.min_answer_distance)
+    max_cost = config.max_finish_cost * best[0].penalised_cost
+    cheap = [coarse[:1] for coarse in others if coarse[0] in distinct and coarse[0].penalised_cost <= max_cost]
+    return [best, *cheap][: config.max_refined]
+
+
+def cost_floor(prepared: PreparedPair) -> float:
+    """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
+
+    Scaled by what the masks leave, as the cost of a fit is.
+    """
+    graph, surface = prepared.energy.graph, fitted_surface(prepared.target, prepared.elastic)
+    on_itself = replace(prepared, masks=WHOLE, source_surface=surface)
+    shares = graph.areas @ prepared.level_masks.of_target(graph.n), prepared.source_samples.areas.sum()
+    return float(min(shares)) * evaluate_placement(on_itself, graph.positions).cost
 
 
 def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) -> tuple[Placement, ...]:
@@ -266,3 +257,12 @@ def distinct_answers(prepared: PreparedPair, placements: Sequence[Placement]) ->
         name = next(name for name in names if name not in answers)
         answers[name] = placed.as_answer(name)
     return tuple(answers.values())
+
+
+@kinds_checked
+def fit(prepared: PreparedPair, pair: Pair, progress: Progress = no_progress) -> FloatArray:
+    """(n, 3) fitted positions of the target's deformed level near the source: the first of `search_placements`.
+
+    The source has area 1 in their unit. ParameterError if ``prepared`` is of other surfaces than the pair.
+    """
+    return search_placements(Problem(prepared, pair.landmarks), progress)[0].map_positions

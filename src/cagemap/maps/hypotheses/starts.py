@@ -40,88 +40,65 @@ LEAST_LENGTH = 0.01
 LimbMeasures = tuple[FloatArray, FloatArray]
 
 
-def rotation_name(matrix: FloatArray, usual: Sequence[FloatArray] = ()) -> str:
-    """Description for a user of a rotation (3, 3), which may be one of the `usual_rotations`."""
-    vector = Rotation.from_matrix(matrix).as_rotvec(degrees=True)
-    angle = round(float(np.linalg.norm(vector)))
-    if angle == 0:
-        return AS_FILED
-    if _is_among(matrix, usual):
-        return BY_FILE_AXES
-    axis = np.round(vector / np.abs(vector).max()).astype(int)
-    if np.count_nonzero(axis) == 1:
-        sign = "-" if axis.sum() < 0 and angle != 180 else ""
-        return f"turned {angle} degrees about {sign}{'xyz'[int(np.flatnonzero(axis)[0])]}"
-    return f"turned {angle} degrees about ({', '.join(map(str, axis))})"
+def assigned_limbs(problem: Problem) -> list[Tips]:
+    """Corresponding tips (k,) of limbs of target and source, most likely first; none if a surface has too few."""
+    ratio, config = file_ratio(problem.prepared) or 1.0, problem.prepared.elastic.search
+    units = min(ratio, 1.0), min(1.0 / ratio, 1.0)  # of both sides, as multiples of the larger surface's unit
+    landmarks, tips = problem.landmark_vertices, find_tips(problem, config.limb_height, units)
+    ends = tips[0][: config.max_limbs], tips[1][: config.max_limbs]
+    fewest = min(map(len, ends))
+    needed = config.fewest_points if units == (1.0, 1.0) else config.fewest_of_part
+    if fewest < 1 or len(landmarks[0]) + fewest < needed:
+        return []
+    sides = zip(problem.prepared.graphs, landmarks, ends, units, strict=True)
+    target, source = (limb_measures(*side, config.girth_part) for side in sides)
+    return [(ends[0][i], ends[1][j]) for i, j in rank_assignments(target, source, config)]
 
 
-def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
-    """The one of `axis_rotations` nearest to the differentials (n, 3, 3) of a placement with areas (n,)."""
-    return nearest_axis_rotation(common_rotation(areas, nearest_rotations(maps)))
+def limb_measures(
+    graph: ElasticGraph,
+    landmarks: IndexArray,
+    tips: IndexArray,
+    unit: float = 1.0,
+    girth_part: float = SearchConfig.girth_part,
+) -> LimbMeasures:
+    """Measure the limbs of tips (e,) and landmarks (p,), in a unit; at least three, connected.
 
-
-def up_rotations(prepared: PreparedPair) -> tuple[FloatArray, FloatArray]:
-    """Rotations (3, 3) of target and source to +Y up, about axes; the identity if the up axis is unknown."""
-    given = (side.control.upright for side in (prepared.target, prepared.source))
-    target, source = (Y_UP if upright is None else nearest_axis_rotation(upright) for upright in given)
-    return target, source
-
-
-def usual_rotations(prepared: PreparedPair) -> list[FloatArray]:
-    """Rotations (3, 3) that have no penalty: the identity, and that from the target's up axis to the source's."""
-    target, source = up_rotations(prepared)
-    onto_source = source @ target.T
-    return [np.eye(3)] if np.array_equal(onto_source, np.eye(3)) else [np.eye(3), onto_source]
-
-
-def rotation_penalty(matrix: FloatArray, prepared: PreparedPair) -> float:
-    """Factor on the cost of a placement that is rotated by one of `axis_rotations`; 1 for `usual_rotations`.
-
-    A rotation about the up axis has the factor ``turned_penalty``, others ``tilted_penalty``. If the files' up axes
-    differ, one of the files may be wrong: the smaller factor counts, with these axes and with +Y up in both.
+    The length of a limb is that of its leaf in the tree of all ends, the Gromov product
+    ``min_jk (d_ij + d_ik - d_jk) / 2``.
     """
-    config, (target, source) = prepared.elastic.search, up_rotations(prepared)
-    between_upright = source.T @ matrix @ target
+    ends = np.concatenate([landmarks, tips])
+    distances = graph.distances(ends)
+    apart = distances[:, ends]
+    products = 0.5 * (apart[:, :, None] + apart[:, None, :] - apart)
+    every = np.arange(len(ends))
+    products[every, every, :] = products[every, :, every] = products[:, every, every] = np.inf
+    lengths = np.maximum(products.min(axis=(1, 2)), LEAST_LENGTH)
+    between = apart - lengths[:, None] - lengths
+    between[every, every] = 0.0
+    part, limbs = girth_part * lengths[len(landmarks) :], distances[len(landmarks) :]
+    return unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part)
 
-    def penalty(rotation: FloatArray) -> float:  # +Y up; entries are -1, 0 or 1
-        if rotation[1, 1] < 0.5:
-            return config.tilted_penalty
-        return 1.0 if rotation[0, 0] > 0.5 else config.turned_penalty
 
-    penalties = penalty(between_upright), penalty(matrix)
-    return penalties[0] if np.array_equal(target, source) else min(penalties)
+def rank_assignments(
+    target: LimbMeasures, source: LimbMeasures, config: SearchConfig = SearchConfig()
+) -> list[tuple[IndexArray, IndexArray]]:
+    """Assignments of limbs, most likely first: their numbers (k,) on target and on source.
 
-
-def rigid_starts(
-    points: FloatArray, areas: FloatArray, source: TriangleSurface, usual: Sequence[FloatArray] = ()
-) -> list[Placement]:
-    """Placements of points (k, 3) with areas (k,) that align bounding boxes or principal frames with the source's.
-
-    Boxes in all 24 axis rotations, the ``usual`` ones first, with equal diagonals (one scale) or equal extents (three
-    scales). Principal frames in four rotations, not scaled.
+    Ranked by distances between roots of limbs and by girths. Lengths do not count: a hippo has short legs and a cougar
+    a long tail.
     """
-    starts = []
-    for matrix in sorted(axis_rotations(), key=lambda one: not _is_among(one, usual)):
-        turned = points @ matrix.T
-        starts += [Placement(_fit_to_box(turned, source.positions, stretched)) for stretched in (False, True)]
-    centre, axes, _ = principal_frame(points, areas)
-    source_centre, source_axes, _ = principal_frame(source.positions, source.vertex_areas)
-    for rotation in rotations_onto(axes, source_axes):
-        starts.append(Placement((points - centre) @ rotation.T + source_centre))
-    return starts
-
-
-def _is_among(matrix: FloatArray, others: Sequence[FloatArray]) -> bool:
-    return any(np.array_equal(matrix, other) for other in others)
-
-
-def _fit_to_box(points: FloatArray, source_points: FloatArray, stretched: bool) -> FloatArray:
-    """Points moved and scaled so that their bounding box agrees with the source's."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    source_low, source_high = source_points.min(axis=0), source_points.max(axis=0)
-    extent, wanted = np.maximum(high - low, LEAST_EXTENT), np.maximum(source_high - source_low, LEAST_EXTENT)
-    scale = wanted / extent if stretched else np.linalg.norm(wanted) / np.linalg.norm(extent)
-    return np.asarray((points - (low + high) / 2) * scale + (source_low + source_high) / 2)
+    (between, girths), (source_between, source_girths) = target, source
+    if len(girths) > len(source_girths):
+        return [(i, j) for j, i in rank_assignments(source, target, config)]
+    count, landmarks = len(girths), len(between) - len(girths)
+    to = np.array(list(permutations(range(len(source_girths)), count)))
+    ends = np.hstack([np.tile(np.arange(landmarks), (len(to), 1)), landmarks + to])
+    apart = np.abs(source_between[ends[:, :, None], ends[:, None, :]] - between).sum(axis=(1, 2))
+    ratios = np.log(source_girths[to] / girths)
+    ratios -= np.median(ratios, axis=1, keepdims=True)
+    ranked = np.argsort(apart + config.girth_weight * np.abs(ratios).sum(axis=1), kind="stable")
+    return [(np.arange(count), to[row]) for row in ranked[: config.max_assignments]]
 
 
 def file_ratio(prepared: PreparedPair) -> float | None:
@@ -133,12 +110,6 @@ def file_ratio(prepared: PreparedPair) -> float | None:
     ratio, most = source.scale / target.scale, prepared.elastic.search.max_unit_ratio
     is_related = (target.is_open or source.is_open) and 1.0 / most <= ratio <= most
     return ratio if is_related else None
-
-
-def unmoved_start(prepared: PreparedPair, points: FloatArray) -> list[Placement]:
-    """Start of points (k, 3) at their position in the files; none for closed surfaces or unrelated units."""
-    ratio = file_ratio(prepared)
-    return [] if ratio is None else [Placement(np.asarray(ratio * points))]
 
 
 def find_tips(problem: Problem, least: float | None = None, units: tuple[float, float] = (1.0, 1.0)) -> Tips:
@@ -161,50 +132,6 @@ def find_tips(problem: Problem, least: float | None = None, units: tuple[float, 
         kept = (weights[vertices] > 0) & (away > config.min_landmark_distance) & ~mesh.boundary_vertices[vertices]
         tips.append(vertices[kept])
     return tips[0], tips[1]
-
-
-def pair_tips(images: FloatArray, places: FloatArray, config: SearchConfig) -> IndexArray:
-    """(q, 2) tips that are mutually nearest, the target's by their images (e, 3), the source's by places (e2, 3)."""
-    pairs, distances = mutually_nearest(images, places, config.max_tip_distance)
-    return pairs if np.any(distances > config.min_tip_miss) else pairs[:0]
-
-
-def mutually_nearest(points: FloatArray, others: FloatArray, within: float) -> tuple[IndexArray, FloatArray]:
-    """(q, 2) points (n, 3) and others (m, 3) that are mutually nearest and nearer than a distance; distances (q,)."""
-    if not len(points) or not len(others):
-        return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
-    distance, nearest = (np.asarray(column) for column in cKDTree(others).query(points))
-    back = np.asarray(cKDTree(points).query(others)[1])
-    rows = np.flatnonzero((distance < within) & (back[nearest] == np.arange(len(points))))
-    return np.column_stack([rows, nearest[rows]]).astype(np.int64), distance[rows]
-
-
-def refit_distinct_to_tips(problem: Problem, ranked: Sequence[Placement]) -> list[Placement]:
-    """Placements, those that are cheap and different from all better ones refitted by `refit_to_tips`."""
-    tips, config = find_tips(problem), problem.prepared.elastic.search
-    distinct = distinct_placements(ranked, problem.prepared.energy.graph.areas, config.min_answer_distance)
-    max_cost = config.max_cost * min(placed.cost for placed in ranked)
-
-    def refit(placed: Placement) -> Placement:
-        return refit_to_tips(problem, tips, placed) if placed in distinct and placed.cost <= max_cost else placed
-
-    return in_threads(refit, ranked)
-
-
-def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
-    """Refit a placement with mutually nearest tips as constraints of the coarse stage; unchanged if much costlier.
-
-    Only landmarks are constraints of the fine stage, so that tips that do not correspond can separate.
-    """
-    prepared, config = problem.prepared, problem.prepared.elastic.search
-    pairs = pair_tips(placed.positions[tips[0]], prepared.graphs[1].positions[tips[1]], config)
-    if not len(pairs):
-        return placed
-    clusters = problem.clusters_with((tips[0][pairs[:, 0]], tips[1][pairs[:, 1]]), prepared.elastic.stiff_coarse)
-    with thread_limit(1):
-        coarse = coarse_fit(problem, placed.positions[clusters.vertices], clusters, prepared.source_samples)
-    refitted = evaluate_placement(prepared, fine_fit(problem, coarse)).with_start_of(placed)
-    return refitted if refitted.cost <= config.max_equal_cost * placed.cost else placed
 
 
 def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) -> IndexArray:
@@ -255,62 +182,135 @@ def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tu
     return peaks, above
 
 
-def limb_measures(
-    graph: ElasticGraph,
-    landmarks: IndexArray,
-    tips: IndexArray,
-    unit: float = 1.0,
-    girth_part: float = SearchConfig.girth_part,
-) -> LimbMeasures:
-    """Measure the limbs of tips (e,) and landmarks (p,), in a unit; at least three, connected.
+def refit_distinct_to_tips(problem: Problem, ranked: Sequence[Placement]) -> list[Placement]:
+    """Placements, those that are cheap and different from all better ones refitted by `refit_to_tips`."""
+    tips, config = find_tips(problem), problem.prepared.elastic.search
+    distinct = distinct_placements(ranked, problem.prepared.energy.graph.areas, config.min_answer_distance)
+    max_cost = config.max_cost * min(placed.cost for placed in ranked)
 
-    The length of a limb is that of its leaf in the tree of all ends, the Gromov product
-    ``min_jk (d_ij + d_ik - d_jk) / 2``.
+    def refit(placed: Placement) -> Placement:
+        return refit_to_tips(problem, tips, placed) if placed in distinct and placed.cost <= max_cost else placed
+
+    return in_threads(refit, ranked)
+
+
+def refit_to_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
+    """Refit a placement with mutually nearest tips as constraints of the coarse stage; unchanged if much costlier.
+
+    Only landmarks are constraints of the fine stage, so that tips that do not correspond can separate.
     """
-    ends = np.concatenate([landmarks, tips])
-    distances = graph.distances(ends)
-    apart = distances[:, ends]
-    products = 0.5 * (apart[:, :, None] + apart[:, None, :] - apart)
-    every = np.arange(len(ends))
-    products[every, every, :] = products[every, :, every] = products[:, every, every] = np.inf
-    lengths = np.maximum(products.min(axis=(1, 2)), LEAST_LENGTH)
-    between = apart - lengths[:, None] - lengths
-    between[every, every] = 0.0
-    part, limbs = girth_part * lengths[len(landmarks) :], distances[len(landmarks) :]
-    return unit * between, unit * ((limbs < part[:, None]) @ graph.areas / part)
+    prepared, config = problem.prepared, problem.prepared.elastic.search
+    pairs = pair_tips(placed.positions[tips[0]], prepared.graphs[1].positions[tips[1]], config)
+    if not len(pairs):
+        return placed
+    clusters = problem.clusters_with((tips[0][pairs[:, 0]], tips[1][pairs[:, 1]]), prepared.elastic.stiff_coarse)
+    with thread_limit(1):
+        coarse = coarse_fit(problem, placed.positions[clusters.vertices], clusters, prepared.source_samples)
+    refitted = evaluate_placement(prepared, fine_fit(problem, coarse)).with_start_of(placed)
+    return refitted if refitted.cost <= config.max_equal_cost * placed.cost else placed
 
 
-def rank_assignments(
-    target: LimbMeasures, source: LimbMeasures, config: SearchConfig = SearchConfig()
-) -> list[tuple[IndexArray, IndexArray]]:
-    """Assignments of limbs, most likely first: their numbers (k,) on target and on source.
+def pair_tips(images: FloatArray, places: FloatArray, config: SearchConfig) -> IndexArray:
+    """(q, 2) tips that are mutually nearest, the target's by their images (e, 3), the source's by places (e2, 3)."""
+    pairs, distances = mutually_nearest(images, places, config.max_tip_distance)
+    return pairs if np.any(distances > config.min_tip_miss) else pairs[:0]
 
-    Ranked by distances between roots of limbs and by girths. Lengths do not count: a hippo has short legs and a cougar
-    a long tail.
+
+def mutually_nearest(points: FloatArray, others: FloatArray, within: float) -> tuple[IndexArray, FloatArray]:
+    """(q, 2) points (n, 3) and others (m, 3) that are mutually nearest and nearer than a distance; distances (q,)."""
+    if not len(points) or not len(others):
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+    distance, nearest = (np.asarray(column) for column in cKDTree(others).query(points))
+    back = np.asarray(cKDTree(points).query(others)[1])
+    rows = np.flatnonzero((distance < within) & (back[nearest] == np.arange(len(points))))
+    return np.column_stack([rows, nearest[rows]]).astype(np.int64), distance[rows]
+
+
+def unmoved_start(prepared: PreparedPair, points: FloatArray) -> list[Placement]:
+    """Start of points (k, 3) at their position in the files; none for closed surfaces or unrelated units."""
+    ratio = file_ratio(prepared)
+    return [] if ratio is None else [Placement(np.asarray(ratio * points))]
+
+
+def rigid_starts(
+    points: FloatArray, areas: FloatArray, source: TriangleSurface, usual: Sequence[FloatArray] = ()
+) -> list[Placement]:
+    """Placements of points (k, 3) with areas (k,) that align bounding boxes or principal frames with the source's.
+
+    Boxes in all 24 axis rotations, the ``usual`` ones first, with equal diagonals (one scale) or equal extents (three
+    scales). Principal frames in four rotations, not scaled.
     """
-    (between, girths), (source_between, source_girths) = target, source
-    if len(girths) > len(source_girths):
-        return [(i, j) for j, i in rank_assignments(source, target, config)]
-    count, landmarks = len(girths), len(between) - len(girths)
-    to = np.array(list(permutations(range(len(source_girths)), count)))
-    ends = np.hstack([np.tile(np.arange(landmarks), (len(to), 1)), landmarks + to])
-    apart = np.abs(source_between[ends[:, :, None], ends[:, None, :]] - between).sum(axis=(1, 2))
-    ratios = np.log(source_girths[to] / girths)
-    ratios -= np.median(ratios, axis=1, keepdims=True)
-    ranked = np.argsort(apart + config.girth_weight * np.abs(ratios).sum(axis=1), kind="stable")
-    return [(np.arange(count), to[row]) for row in ranked[: config.max_assignments]]
+    starts = []
+    for matrix in sorted(axis_rotations(), key=lambda one: not _is_among(one, usual)):
+        turned = points @ matrix.T
+        starts += [Placement(_fit_to_box(turned, source.positions, stretched)) for stretched in (False, True)]
+    centre, axes, _ = principal_frame(points, areas)
+    source_centre, source_axes, _ = principal_frame(source.positions, source.vertex_areas)
+    for rotation in rotations_onto(axes, source_axes):
+        starts.append(Placement((points - centre) @ rotation.T + source_centre))
+    return starts
 
 
-def assigned_limbs(problem: Problem) -> list[Tips]:
-    """Corresponding tips (k,) of limbs of target and source, most likely first; none if a surface has too few."""
-    ratio, config = file_ratio(problem.prepared) or 1.0, problem.prepared.elastic.search
-    units = min(ratio, 1.0), min(1.0 / ratio, 1.0)  # of both sides, as multiples of the larger surface's unit
-    landmarks, tips = problem.landmark_vertices, find_tips(problem, config.limb_height, units)
-    ends = tips[0][: config.max_limbs], tips[1][: config.max_limbs]
-    fewest = min(map(len, ends))
-    needed = config.fewest_points if units == (1.0, 1.0) else config.fewest_of_part
-    if fewest < 1 or len(landmarks[0]) + fewest < needed:
-        return []
-    sides = zip(problem.prepared.graphs, landmarks, ends, units, strict=True)
-    target, source = (limb_measures(*side, config.girth_part) for side in sides)
-    return [(ends[0][i], ends[1][j]) for i, j in rank_assignments(target, source, config)]
+def _fit_to_box(points: FloatArray, source_points: FloatArray, stretched: bool) -> FloatArray:
+    """Points moved and scaled so that their bounding box agrees with the source's."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    source_low, source_high = source_points.min(axis=0), source_points.max(axis=0)
+    extent, wanted = np.maximum(high - low, LEAST_EXTENT), np.maximum(source_high - source_low, LEAST_EXTENT)
+    scale = wanted / extent if stretched else np.linalg.norm(wanted) / np.linalg.norm(extent)
+    return np.asarray((points - (low + high) / 2) * scale + (source_low + source_high) / 2)
+
+
+def usual_rotations(prepared: PreparedPair) -> list[FloatArray]:
+    """Rotations (3, 3) that have no penalty: the identity, and that from the target's up axis to the source's."""
+    target, source = up_rotations(prepared)
+    onto_source = source @ target.T
+    return [np.eye(3)] if np.array_equal(onto_source, np.eye(3)) else [np.eye(3), onto_source]
+
+
+def up_rotations(prepared: PreparedPair) -> tuple[FloatArray, FloatArray]:
+    """Rotations (3, 3) of target and source to +Y up, about axes; the identity if the up axis is unknown."""
+    given = (side.control.upright for side in (prepared.target, prepared.source))
+    target, source = (Y_UP if upright is None else nearest_axis_rotation(upright) for upright in given)
+    return target, source
+
+
+def axis_rotation(areas: FloatArray, maps: FloatArray) -> FloatArray:
+    """The one of `axis_rotations` nearest to the differentials (n, 3, 3) of a placement with areas (n,)."""
+    return nearest_axis_rotation(common_rotation(areas, nearest_rotations(maps)))
+
+
+def rotation_name(matrix: FloatArray, usual: Sequence[FloatArray] = ()) -> str:
+    """Description for a user of a rotation (3, 3), which may be one of the `usual_rotations`."""
+    vector = Rotation.from_matrix(matrix).as_rotvec(degrees=True)
+    angle = round(float(np.linalg.norm(vector)))
+    if angle == 0:
+        return AS_FILED
+    if _is_among(matrix, usual):
+        return BY_FILE_AXES
+    axis = np.round(vector / np.abs(vector).max()).astype(int)
+    if np.count_nonzero(axis) == 1:
+        sign = "-" if axis.sum() < 0 and angle != 180 else ""
+        return f"turned {angle} degrees about {sign}{'xyz'[int(np.flatnonzero(axis)[0])]}"
+    return f"turned {angle} degrees about ({', '.join(map(str, axis))})"
+
+
+def rotation_penalty(matrix: FloatArray, prepared: PreparedPair) -> float:
+    """Factor on the cost of a placement that is rotated by one of `axis_rotations`; 1 for `usual_rotations`.
+
+    A rotation about the up axis has the factor ``turned_penalty``, others ``tilted_penalty``. If the files' up axes
+    differ, one of the files may be wrong: the smaller factor counts, with these axes and with +Y up in both.
+    """
+    config, (target, source) = prepared.elastic.search, up_rotations(prepared)
+    between_upright = source.T @ matrix @ target
+
+    def penalty(rotation: FloatArray) -> float:  # +Y up; entries are -1, 0 or 1
+        if rotation[1, 1] < 0.5:
+            return config.tilted_penalty
+        return 1.0 if rotation[0, 0] > 0.5 else config.turned_penalty
+
+    penalties = penalty(between_upright), penalty(matrix)
+    return penalties[0] if np.array_equal(target, source) else min(penalties)
+
+
+def _is_among(matrix: FloatArray, others: Sequence[FloatArray]) -> bool:
+    return any(np.array_equal(matrix, other) for other in others)

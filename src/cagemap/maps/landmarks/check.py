@@ -21,12 +21,14 @@ from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, TWO, Confidence, cost_signs
 from cagemap.maps.hypotheses.search import search_placements
 from cagemap.maps.hypotheses.starts import mutually_nearest
-from cagemap.maps.landmarks.outliers import (
-    Marks,
+from cagemap.maps.landmarks.suspects import (
+    Points,
     exchanged_sides,
     misplaced_pairs,
     orientation_agreement,
-    reduced_energy,
+    position_rows,
+    released_shifts,
+    strain_system,
     strained_pair,
     typical_misfit,
 )
@@ -146,33 +148,6 @@ def landmark_outliers(problem: Problem, progress: Progress) -> tuple[dict[int, s
     return suspected, notes
 
 
-def check_on_map(
-    problem: Problem, point_map: PointMap, outliers: dict[int, str], notes: Sequence[str]
-) -> LandmarkCheck:
-    """Check of all landmarks, by a map without the outliers: their distances from it, and the strain of the others."""
-    names, config = problem.landmarks.names, problem.prepared.elastic.landmarks
-    count = len(names)
-    if count < config.fewest_judged:
-        return LandmarkCheck(notes=tuple(notes))
-    trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
-    images, places = point_map.images.at(problem.prepared.vertices), trusted.landmarks.source.positions
-    graph, vertices = problem.prepared.energy.graph, trusted.landmark_vertices[0]
-    energy = reduced_energy(graph, images.positions, images.normals, vertices, problem.prepared.elastic)
-    strains = np.zeros(count)
-    strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
-    strained, strain_notes = strained_pair(energy, places, strains[kept], config), list[str]()
-    if strained is not None:
-        typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
-        if typical <= config.max_strain_misfit:
-            strain_notes.append(
-                f"landmark '{names[kept[strained]]}' strains the map around it and nowhere else: released, it would "
-                f"move by about {100 * strains[kept[strained]]:.0f} % of the model's size. It was kept; if it is a "
-                "mistake, correct it"
-            )
-    suspects = tuple(_suspect(problem, point_map, i, outliers[i]) for i in sorted(outliers))
-    return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
-
-
 def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[dict[int, str], list[str]]:
     """Suspected pairs with the evidence, ``left_out`` not compared; and a note if too few pairs agree to tell."""
     count, config = len(problem.landmarks), problem.prepared.elastic.landmarks
@@ -187,14 +162,15 @@ def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[d
         return {}, [CONTRADICTION]
     if len(misplaced):
         return dict.fromkeys(kept[misplaced].tolist(), DISTANCES), []
-    exchanged = exchanged_sides(distances, *_marks(problem), config)
+    exchanged = exchanged_sides(distances, *_points(problem), config)
     return dict.fromkeys(kept[list(exchanged or ())].tolist(), SIDES), []
 
 
-def coarse_map_cost(problem: Problem) -> float:
-    """Cost of the best coarse fit that meets the landmarks."""
-    clusters = problem.coarse_clusters
-    return min(coarse_fit(problem, start(problem, clusters)).cost for start in (zoomout_start, landmark_start))
+def _points(problem: Problem) -> tuple[Points, Points]:
+    """Positions and normals of the landmarks of target and source."""
+    sides = zip(problem.prepared.graphs, problem.landmark_vertices, strict=True)
+    target, source = ((graph.positions[landmarks], graph.normals[landmarks]) for graph, landmarks in sides)
+    return target, source
 
 
 def has_merged_parts(problem: Problem) -> bool:
@@ -212,6 +188,12 @@ def large_handles(mesh: ControlMesh, config: LandmarkConfig) -> int:
     return handle_count(mesh) - max(handle_count(mesh, label_cells(mesh, size, offset)) for offset in OFFSETS)
 
 
+def coarse_map_cost(problem: Problem) -> float:
+    """Cost of the best coarse fit that meets the landmarks."""
+    clusters = problem.coarse_clusters
+    return min(coarse_fit(problem, start(problem, clusters)).cost for start in (zoomout_start, landmark_start))
+
+
 def kept_note(problem: Problem, suspected: dict[int, str], why: str) -> str:
     """Note about suspected pairs that were kept, and why."""
     listed = ", ".join(f"'{problem.landmarks.names[i]}'" for i in sorted(suspected))
@@ -227,6 +209,43 @@ def kept_note(problem: Problem, suspected: dict[int, str], why: str) -> str:
     )
 
 
+def check_on_map(
+    problem: Problem, point_map: PointMap, outliers: dict[int, str], notes: Sequence[str]
+) -> LandmarkCheck:
+    """Check of all landmarks, by a map without the outliers: their distances from it, and the strain of the others."""
+    names, config = problem.landmarks.names, problem.prepared.elastic.landmarks
+    count = len(names)
+    if count < config.fewest_judged:
+        return LandmarkCheck(notes=tuple(notes))
+    trusted, kept = problem.without(outliers), np.setdiff1d(np.arange(count), list(outliers))
+    images, places = point_map.images.at(problem.prepared.vertices), trusted.landmarks.source.positions
+    graph, vertices = problem.prepared.energy.graph, trusted.landmark_vertices[0]
+    system = strain_system(graph, images.positions, images.normals, vertices, problem.prepared.elastic)
+    strains = np.zeros(count)
+    strains[kept] = np.linalg.norm(released_shifts(system, places, position_rows(len(kept))), axis=1)
+    strained, strain_notes = strained_pair(system, places, strains[kept], config), list[str]()
+    if strained is not None:
+        typical = typical_misfit(*problem.landmark_distances, np.delete(kept, strained), config)
+        if typical <= config.max_strain_misfit:
+            strain_notes.append(
+                f"landmark '{names[kept[strained]]}' strains the map around it and nowhere else: released, it would "
+                f"move by about {100 * strains[kept[strained]]:.0f} % of the model's size. It was kept; if it is a "
+                "mistake, correct it"
+            )
+    suspects = tuple(_suspect(problem, point_map, i, outliers[i]) for i in sorted(outliers))
+    return LandmarkCheck(suspects, (*notes, *strain_notes), strains)
+
+
+def _suspect(problem: Problem, found: PointMap, pair: int, evidence: str) -> LandmarkSuspect:
+    """Suspect for a pair that was left out of a map."""
+    source, only = problem.prepared.source, problem.landmarks.only([pair])
+    places = only.target.interpolate(found.images.positions)[0], only.source.positions[0]
+    control = source.finest_triangles.positions[: source.control.n_vertices]
+    nearest, given = (int(np.linalg.norm(control - place, axis=1).argmin()) for place in places)
+    in_file, distance = source.control.file_vertex, float(landmark_errors(found, only)[0])
+    return LandmarkSuspect(only.names[0], pair, distance, in_file(nearest), in_file(given), evidence)
+
+
 def check_changes(problem: Problem, changed: IndexArray, check: LandmarkCheck, before: PointMap) -> LandmarkCheck:
     """Check pairs ``changed`` (c,) of an update by distances; left out if the map from before contradicts them too."""
     config = problem.prepared.elastic.landmarks
@@ -238,27 +257,6 @@ def check_changes(problem: Problem, changed: IndexArray, check: LandmarkCheck, b
     contradicted = [suspect for suspect in new if suspect.distance >= config.max_confirmed_miss]
     suspects = tuple(sorted((*check.suspects, *contradicted), key=lambda suspect: suspect.pair))
     return replace(check, suspects=suspects, notes=tuple(dict.fromkeys((*check.notes, *notes))))
-
-
-def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...]:
-    """A warning if a map of ``count`` landmarks, without those left out, folds much of the target's area."""
-    if not count or not FOREIGN_FOLDED[0] < folded < FOREIGN_FOLDED[1]:
-        return ()
-    others = f" and {left_out} of {count} landmarks were left out" if left_out else ""
-    return (
-        f"are these landmarks of these meshes? {100 * folded:.0f} % of the target is folded over{others}. Look at the "
-        "landmarks on both meshes, and at which file they belong to",
-    )
-
-
-def _suspect(problem: Problem, found: PointMap, pair: int, evidence: str) -> LandmarkSuspect:
-    """Suspect for a pair that was left out of a map."""
-    source, only = problem.prepared.source, problem.landmarks.only([pair])
-    places = only.target.interpolate(found.images.positions)[0], only.source.positions[0]
-    control = source.finest_triangles.positions[: source.control.n_vertices]
-    nearest, given = (int(np.linalg.norm(control - place, axis=1).argmin()) for place in places)
-    in_file, distance = source.control.file_vertex, float(landmark_errors(found, only)[0])
-    return LandmarkSuspect(only.names[0], pair, distance, in_file(nearest), in_file(given), evidence)
 
 
 def check_mirrored(
@@ -273,7 +271,7 @@ def check_mirrored(
     landmarks, config = problem.landmarks, problem.prepared.elastic.landmarks
     if len(landmarks) < config.fewest_judged:
         return None, check
-    if orientation_agreement(*_marks(problem.without(outliers)), config) > config.mirrored_agreement:
+    if orientation_agreement(*_points(problem.without(outliers)), config) > config.mirrored_agreement:
         return None, check
     best = search_placements(problem.without(range(len(landmarks))), progress)[0]
     if given.cost < config.min_mirrored_cost * best.cost:
@@ -289,8 +287,12 @@ def check_mirrored(
     return Confidence(TWO, answers, cost_signs(answers)), check
 
 
-def _marks(problem: Problem) -> tuple[Marks, Marks]:
-    """Positions and normals of the landmarks of target and source."""
-    sides = zip(problem.prepared.graphs, problem.landmark_vertices, strict=True)
-    target, source = ((graph.positions[landmarks], graph.normals[landmarks]) for graph, landmarks in sides)
-    return target, source
+def foreign_warnings(folded: float, count: int, left_out: int) -> tuple[str, ...]:
+    """A warning if a map of ``count`` landmarks, without those left out, folds much of the target's area."""
+    if not count or not FOREIGN_FOLDED[0] < folded < FOREIGN_FOLDED[1]:
+        return ()
+    others = f" and {left_out} of {count} landmarks were left out" if left_out else ""
+    return (
+        f"are these landmarks of these meshes? {100 * folded:.0f} % of the target is folded over{others}. Look at the "
+        "landmarks on both meshes, and at which file they belong to",
+    )

@@ -10,7 +10,7 @@ there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -34,8 +34,7 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
 
-@dataclass(frozen=True, eq=False)
-class Disc:
+class Disc(NamedTuple):
     """A piece of a surface that is topologically a disc."""
 
     vertices: IndexArray  # (n,) of the surface
@@ -141,6 +140,44 @@ def _flatten_part(
     return disc.chosen, images.replaced(disc.vertices[free], new)
 
 
+def _disc_in(
+    ball: BoolArray, triangles: IndexArray, seeds: IndexArray, max_share: float, *, whole: bool = False
+) -> Disc | None:
+    """Disc of the triangles with one corner (or all) in a ball, connected with the seeds."""
+    patch = label_patches(triangles, ball)
+    inside = ball & np.isin(patch, patch[seeds])
+
+    def disc(inside: BoolArray) -> Disc | None:
+        chosen = inside[triangles].all(axis=1) if whole else touched_triangles(triangles, inside)
+        return _disc(triangles, np.flatnonzero(chosen), max_share * len(inside))
+
+    return disc(inside) or disc(_fill_holes(triangles, inside))
+
+
+def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Disc | None:
+    """Disc of the chosen triangles; None if they are no disc or have too many vertices."""
+    vertices, corners = np.unique(triangles[chosen], return_inverse=True)
+    corners = corners.reshape(-1, 3)
+    n = len(vertices)
+    edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    directed = sparse.csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
+    border = sparse.coo_array((directed - directed.T).maximum(0.0))
+    border.eliminate_zeros()
+    euler = n - (len(edges) + border.nnz) // 2 + len(chosen)
+    if euler != 1 or border.nnz == 0 or n > max_vertices:
+        return None
+    rim = csgraph.depth_first_order(border.tocsr(), int(border.row[0]), return_predecessors=False).astype(np.int64)
+    return Disc(vertices, chosen, corners, rim) if len(rim) == border.nnz else None
+
+
+def _fill_holes(triangles: IndexArray, inside: BoolArray) -> BoolArray:
+    """Vertices inside, and the holes among them: all but the largest component outside."""
+    if inside.all():
+        return inside
+    patch = label_patches(triangles, ~inside)
+    return np.asarray(patch != np.bincount(patch[~inside]).argmax())
+
+
 def flat_disc(disc: Disc) -> FloatArray:
     """(n, 2) positions of a disc in the unit circle: rim evenly spaced, others at their neighbours' mean."""
     angles = 2.0 * np.pi * np.arange(len(disc.rim)) / len(disc.rim)
@@ -229,44 +266,6 @@ def _upright(mesh: Delaunay, ends: FloatArray) -> bool:
 
     start = areas(mesh.points)
     return bool(np.all(areas(ends) * np.sign(start) >= 0.1 * np.abs(start)))
-
-
-def _disc_in(
-    ball: BoolArray, triangles: IndexArray, seeds: IndexArray, max_share: float, *, whole: bool = False
-) -> Disc | None:
-    """Disc of the triangles with one corner (or all) in a ball, connected with the seeds."""
-    patch = label_patches(triangles, ball)
-    inside = ball & np.isin(patch, patch[seeds])
-
-    def disc(inside: BoolArray) -> Disc | None:
-        chosen = inside[triangles].all(axis=1) if whole else touched_triangles(triangles, inside)
-        return _disc(triangles, np.flatnonzero(chosen), max_share * len(inside))
-
-    return disc(inside) or disc(_fill_holes(triangles, inside))
-
-
-def _disc(triangles: IndexArray, chosen: IndexArray, max_vertices: float) -> Disc | None:
-    """Disc of the chosen triangles; None if they are no disc or have too many vertices."""
-    vertices, corners = np.unique(triangles[chosen], return_inverse=True)
-    corners = corners.reshape(-1, 3)
-    n = len(vertices)
-    edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    directed = sparse.csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
-    border = sparse.coo_array((directed - directed.T).maximum(0.0))
-    border.eliminate_zeros()
-    euler = n - (len(edges) + border.nnz) // 2 + len(chosen)
-    if euler != 1 or border.nnz == 0 or n > max_vertices:
-        return None
-    rim = csgraph.depth_first_order(border.tocsr(), int(border.row[0]), return_predecessors=False).astype(np.int64)
-    return Disc(vertices, chosen, corners, rim) if len(rim) == border.nnz else None
-
-
-def _fill_holes(triangles: IndexArray, inside: BoolArray) -> BoolArray:
-    """Vertices inside, and the holes among them: all but the largest component outside."""
-    if inside.all():
-        return inside
-    patch = label_patches(triangles, ~inside)
-    return np.asarray(patch != np.bincount(patch[~inside]).argmax())
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

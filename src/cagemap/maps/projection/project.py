@@ -18,6 +18,12 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
 
+def map_of_places(problem: Problem, places: FloatArray) -> PointMap:
+    """Point map T12 of the finest levels: project places (n, 3) of the deformed level, then remove folds."""
+    prepared, landmarks = problem.prepared, problem.landmarks
+    return unfold(project(prepared, places, landmarks), held_vertices(landmarks), prepared.elastic)
+
+
 @kinds_checked
 def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
     """Point map of the finest levels: closest points to the subdivision surface through fitted points.
@@ -37,65 +43,6 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
         prepared.source.finest_triangles, positions, normals, config.projection_normal_weights, config.projection
     )
     return PointMap(target, snap_landmarks(images, landmarks, config.projection))
-
-
-def snap_landmarks(images: SurfacePoints, landmarks: PointPairs, config: ProjectionConfig) -> SurfacePoints:
-    """Change images of target vertices so that landmarks are met exactly.
-
-    A landmark at a vertex replaces the vertex's image. For a landmark between vertices, the corners of its triangle
-    move by its error and are projected again, until the error is small. Normals, weighted less in each step, keep the
-    corners on their side of a thin part.
-    """
-    vertices = landmarks.target.vertices
-    at_vertex, between = np.flatnonzero(vertices >= 0), np.flatnonzero(vertices < 0)
-    images = images.replaced(vertices[at_vertex], landmarks.source.at(at_vertex))
-    if not len(between):
-        return images
-    inside, aims = landmarks.target.at(between), landmarks.source.at(between)
-    free = np.unique(np.setdiff1d(inside.corners, vertices[at_vertex]))
-    gather = inside.matrix()[:, free].T
-    for step in range(config.landmark_steps):
-        means = inside.interpolate(images.positions)
-        missed = aims.positions - SurfacePoints.nearest(images.surface, means, guess=aims.triangle).positions
-        if np.linalg.norm(missed, axis=1).max() < config.landmark_tolerance:
-            break
-        # Every corner moves by the weighted mean error of the landmarks in its triangles.
-        moved = (gather @ missed) / np.maximum(np.asarray(gather.sum(axis=1)).reshape(-1, 1), 1e-12)
-        at = images.at(free)
-        weight = config.landmark_normal_weight / 4.0**step
-        near = SurfacePoints.nearest(
-            images.surface, at.positions + moved, at.normals, normal_weight=weight, guess=at.triangle
-        )
-        images = images.replaced(free, near)
-    return images
-
-
-def held_vertices(landmarks: PointPairs) -> IndexArray:
-    """Target vertices whose images landmarks fix: at landmarks, or in triangles that contain one."""
-    vertices = landmarks.target.vertices
-    return np.unique(np.concatenate([vertices[vertices >= 0], landmarks.target.corners[vertices < 0].ravel()]))
-
-
-def map_of_places(problem: Problem, places: FloatArray) -> PointMap:
-    """Point map T12 of the finest levels: project places (n, 3) of the deformed level, then remove folds."""
-    prepared, landmarks = problem.prepared, problem.landmarks
-    return unfold(project(prepared, places, landmarks), held_vertices(landmarks), prepared.elastic)
-
-
-@kinds_checked
-def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
-    """Remove most folds of a map: relax small ones, flatten large ones.
-
-    The images of target vertices ``held`` (p,) stay (landmarks); ParameterError if the target lacks one.
-    """
-    held = whole_numbers(held, "held")
-    if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
-        raise ParameterError(f"held: expected vertices 0 to {point_map.target.n - 1}, got {held.min()} to {held.max()}")
-    weight, target = config.projection_normal_weights[0], point_map.target
-    images, flipped = relax_folds(
-        point_map.images, target.triangles, held, normal_weight=weight, config=config.projection
-    )
-    return PointMap(target, flatten_folded_parts(images, flipped, target, held, config.projection))
 
 
 def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
@@ -144,3 +91,56 @@ def facing_points(
     guess = near.triangle[away]
     again = SurfacePoints.nearest(surface, points[away], normals[away], normal_weight=weights[1], guess=guess)
     return near.replaced(away, again)
+
+
+def snap_landmarks(images: SurfacePoints, landmarks: PointPairs, config: ProjectionConfig) -> SurfacePoints:
+    """Change images of target vertices so that landmarks are met exactly.
+
+    A landmark at a vertex replaces the vertex's image. For a landmark between vertices, the corners of its triangle
+    move by its error and are projected again, until the error is small. Normals, weighted less in each step, keep the
+    corners on their side of a thin part.
+    """
+    vertices = landmarks.target.vertices
+    at_vertex, between = np.flatnonzero(vertices >= 0), np.flatnonzero(vertices < 0)
+    images = images.replaced(vertices[at_vertex], landmarks.source.at(at_vertex))
+    if not len(between):
+        return images
+    inside, aims = landmarks.target.at(between), landmarks.source.at(between)
+    free = np.unique(np.setdiff1d(inside.corners, vertices[at_vertex]))
+    gather = inside.matrix()[:, free].T
+    for step in range(config.landmark_steps):
+        means = inside.interpolate(images.positions)
+        missed = aims.positions - SurfacePoints.nearest(images.surface, means, guess=aims.triangle).positions
+        if np.linalg.norm(missed, axis=1).max() < config.landmark_tolerance:
+            break
+        # Every corner moves by the weighted mean error of the landmarks in its triangles.
+        moved = (gather @ missed) / np.maximum(np.asarray(gather.sum(axis=1)).reshape(-1, 1), 1e-12)
+        at = images.at(free)
+        weight = config.landmark_normal_weight / 4.0**step
+        near = SurfacePoints.nearest(
+            images.surface, at.positions + moved, at.normals, normal_weight=weight, guess=at.triangle
+        )
+        images = images.replaced(free, near)
+    return images
+
+
+def held_vertices(landmarks: PointPairs) -> IndexArray:
+    """Target vertices whose images landmarks fix: at landmarks, or in triangles that contain one."""
+    vertices = landmarks.target.vertices
+    return np.unique(np.concatenate([vertices[vertices >= 0], landmarks.target.corners[vertices < 0].ravel()]))
+
+
+@kinds_checked
+def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
+    """Remove most folds of a map: relax small ones, flatten large ones.
+
+    The images of target vertices ``held`` (p,) stay (landmarks); ParameterError if the target lacks one.
+    """
+    held = whole_numbers(held, "held")
+    if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
+        raise ParameterError(f"held: expected vertices 0 to {point_map.target.n - 1}, got {held.min()} to {held.max()}")
+    weight, target = config.projection_normal_weights[0], point_map.target
+    images, flipped = relax_folds(
+        point_map.images, target.triangles, held, normal_weight=weight, config=config.projection
+    )
+    return PointMap(target, flatten_folded_parts(images, flipped, target, held, config.projection))

@@ -73,6 +73,16 @@ def relax_folds(
     return images.replaced(vertices, local), flipped
 
 
+def _improved_patches(near: IndexArray, inside: BoolArray, before: BoolArray, after: BoolArray) -> BoolArray:
+    """(n,) vertices of the connected patches with fewer flipped triangles than before."""
+    patch = label_patches(near, inside)
+    # The inside corners of a triangle are neighbours, so that any of them gives its patch.
+    corner = np.argmax(inside[near], axis=1)
+    patch_of = patch[near[np.arange(len(near)), corner]]
+    gain = np.bincount(patch_of, before.astype(float) - after, minlength=len(inside))
+    return np.asarray(inside & (gain[patch] > 0))
+
+
 def flipped_rings(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
     """(n,) which vertices are in flipped triangles or in the rings around them."""
     inside = mask_of(triangles[flipped], n)
@@ -93,16 +103,6 @@ def touched_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
     return touched
 
 
-def _improved_patches(near: IndexArray, inside: BoolArray, before: BoolArray, after: BoolArray) -> BoolArray:
-    """(n,) vertices of the connected patches with fewer flipped triangles than before."""
-    patch = label_patches(near, inside)
-    # The inside corners of a triangle are neighbours, so that any of them gives its patch.
-    corner = np.argmax(inside[near], axis=1)
-    patch_of = patch[near[np.arange(len(near)), corner]]
-    gain = np.bincount(patch_of, before.astype(float) - after, minlength=len(inside))
-    return np.asarray(inside & (gain[patch] > 0))
-
-
 def label_patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     """(n,) connected patch of every vertex, below n; vertices outside are patches of their own."""
     n = len(inside)
@@ -112,6 +112,12 @@ def label_patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     return label_components(heads[joined], tails[joined], n)
 
 
+def neighbour_means(triangles: IndexArray, inside: BoolArray) -> sparse.csr_array:
+    """(v, n) matrix that averages the neighbours of every inside vertex."""
+    rows, columns = triangles[:, [0, 1, 2, 0, 1, 2]].ravel(), triangles[:, [1, 2, 0, 2, 0, 1]].ravel()
+    return convex_rows(rows, columns, np.ones(len(rows)), inside)
+
+
 def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: BoolArray) -> sparse.csr_array:
     """(v, n) convex combinations for the v vertices inside: weights, duplicates summed, rows scaled to sum 1."""
     kept = inside[rows]
@@ -119,9 +125,3 @@ def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, insi
     shape = (int(inside.sum()), len(inside))
     matrix = sparse.csr_array((weights[kept], (number[rows[kept]], columns[kept])), shape=shape)
     return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix)
-
-
-def neighbour_means(triangles: IndexArray, inside: BoolArray) -> sparse.csr_array:
-    """(v, n) matrix that averages the neighbours of every inside vertex."""
-    rows, columns = triangles[:, [0, 1, 2, 0, 1, 2]].ravel(), triangles[:, [1, 2, 0, 2, 0, 1]].ravel()
-    return convex_rows(rows, columns, np.ones(len(rows)), inside)
