@@ -52,7 +52,7 @@ from cagemap.spectral import BasisConfig
 from cagemap.studio.autosave import read_autosave, read_autosave_parts, write_autosave
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 from cagemap.studio.opening import result_files
-from cagemap.subdivision import limit_positions, refine
+from cagemap.subdivision import refine
 from cagemap.tasks.masks import read_mask
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
@@ -244,7 +244,6 @@ def use_asset(path: Path) -> None:
         extract_faces(mesh, part.faces)
     refinement = refine(mesh, 1)
     assert np.isfinite(refinement.finest.positions).all()
-    limit_positions(refinement, 1)
 
 
 def use_points(path: Path) -> None:

@@ -93,7 +93,9 @@ def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
     vertices = np.where(state.corner, INFINITE_SHARPNESS, 0.0)
     after = vertices
     if sharpness is not None:
-        edges, halves = sharpness.of_corners(topology, forward)
+        of_mesh, same = topology.edges[forward], topology.forward[forward]
+        edges, halves = sharpness.edges[of_mesh], sharpness.halves[of_mesh]
+        halves = np.where(same[:, None], halves, halves[:, ::-1])
         vertices, after = sharpness.vertices, sharpness.after
     edges[outer], halves[outer] = INFINITE_SHARPNESS, INFINITE_SHARPNESS
     vertices = np.where(layout.corner, INFINITE_SHARPNESS, vertices[owners])

@@ -112,12 +112,6 @@ class Sharpness:
     vertices: FloatArray  # (n,)
     after: FloatArray  # (n,) of vertices after the step
 
-    def of_corners(self, topology: Topology, corners: NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
-        """Sharpness of the edges (k,) of corners and of their halves (k, 2), in the corners' direction."""
-        edges = topology.edges[corners]
-        halves = self.halves[edges]
-        return self.edges[edges], np.where(topology.forward[corners][:, None], halves, halves[:, ::-1])
-
 
 def with_halves(topology: Topology, edges: FloatArray, vertices: FloatArray, creasing: Creasing) -> Sharpness:
     """Sharpness of edges and vertices before and after one subdivision step."""
