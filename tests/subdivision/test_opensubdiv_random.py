@@ -186,10 +186,10 @@ def _forgets_to_follow(mesh: ControlMesh, scheme: Scheme) -> bool:
     """Whether OpenSubdiv, by a fault at semi-sharp seams, keeps a UV sharp after the one it followed is smooth."""
     state = control_state(mesh, scheme)
     layout, _ = control_layout(mesh, state, scheme)
-    if layout.follows is None or state.sharpness is None:
+    if layout.follows is None or not state.is_sharp:
         return False
     following = layout.follows != np.arange(len(layout.follows))
-    table, edges = state.topology, state.sharpness.edges
+    table, edges = state.topology, state.edges
     seam = layout.topology.edge_corners[layout.topology.edges, 1] < 0
     semi = seam & ((edges > 0) & (edges < 10))[table.edges]
     ends = np.concatenate([layout.topology.vertices[semi], layout.topology.vertices[table.following[semi]]])

@@ -11,8 +11,8 @@ from scipy.sparse import csr_array, diags_array, vstack
 
 from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, IntArray, Topology
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.subdivision.topology import MeshState, Sharpness, vertex_rules
+from cagemap.numerics.arrays import FloatArray
+from cagemap.subdivision.topology import MeshState, vertex_rules
 
 Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]  # rows, columns, weights
 
@@ -29,7 +29,7 @@ def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
         matrix = regular_matrix(topology, scheme, state.corner)
     else:
         matrix = polygon_matrix(topology, scheme, state.corner)
-    return matrix if state.sharpness is None else _sharpened(matrix, topology, state.sharpness, state.follows)
+    return _sharpened(matrix, state) if state.is_sharp else matrix
 
 
 def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
@@ -147,15 +147,13 @@ def _matrix_of(entries: Sequence[Entries], shape: tuple[int, int]) -> csr_array:
     return csr_array((weights, (rows.astype(np.int32), columns.astype(np.int32))), shape=shape)
 
 
-def _sharpened(
-    matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
-) -> csr_array:
+def _sharpened(matrix: csr_array, state: MeshState) -> csr_array:
     """Apply the crease and corner rules to a one-step subdivision matrix S (n_fine, n) with boundary rules."""
-    n = topology.n_vertices
+    topology, n = state.topology, state.topology.n_vertices
     ends, vertices = topology.edge_ends, np.arange(n)
-    smooth, crease, crease_after, corner = vertex_rules(topology, sharpness, follows)
+    smooth, crease, crease_after, corner = vertex_rules(state)
     # An edge of sharpness s < 1 is blended, s sharp and 1 - s smooth, unless both its halves are still creases.
-    hard = np.where(np.all(sharpness.halves > 0, axis=1), 1.0, sharpness.edges)
+    hard = np.where(np.all(state.halves > 0, axis=1), 1.0, state.edges)
     hard[topology.outer_edges] = 0.0  # boundary edges have their midpoint already
     # A boundary row of the matrix is kept where the boundary is the vertex's only crease.
     unchanged = topology.boundary & (crease == 1)
@@ -164,7 +162,7 @@ def _sharpened(
     smooth_part[n : n + len(ends)] = 1.0 - hard
     own_weight, neighbour_weight = CREASE_VERTEX
     crease = np.where(unchanged, 0.0, crease)
-    along = (sharpness.edges[:, None] > 0) * crease[ends] + (sharpness.halves > 0) * crease_after[ends]
+    along = (state.edges[:, None] > 0) * crease[ends] + (state.halves > 0) * crease_after[ends]
     sharp_edges = np.flatnonzero(hard)
     parts: list[Entries] = [
         (vertices, vertices, corner + own_weight * (crease + crease_after)),
