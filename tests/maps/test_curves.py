@@ -19,7 +19,7 @@ from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.curves import CagePoints, CurvePair
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
-from cagemap.paper.descriptors import curve_rows
+from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
 from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
@@ -233,7 +233,7 @@ def test_curves_give_the_start_coordinates_and_no_vertex_twice(surfaces: tuple) 
             assert 3 <= len(own) <= StartConfig.curve_points
 
 
-def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> None:
+def test_constraints_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> None:
     pair = curve_pairs(*surfaces, rings_of(surfaces[0].control))[0]
     surface, curve = surfaces[0], pair.target
     vertices = curve.points.corners[np.arange(len(curve.points)), curve.points.barycentric.argmax(axis=1)]

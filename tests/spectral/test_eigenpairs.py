@@ -90,7 +90,7 @@ def test_residuals_are_what_they_say(creature):
 @pytest.mark.parametrize(("first", "last"), [(0, 20), (30, 70), (55, 56)])
 def test_band_is_a_slice_of_the_spectrum(creature, reference, first, last):
     pairs = band_pairs(creature.stiffness[2], creature.mass[2], first, last)
-    assert (pairs.first_index, len(pairs.values)) == (first, last - first)
+    assert len(pairs.values) == last - first
     assert relative(pairs.values, reference[0][first:last]).max() < EXACT
 
 

@@ -22,8 +22,8 @@ from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.kinds import Config, kinds_checked
-from cagemap.paper.descriptors import Constraints, DescriptorConfig, MapWeights, gather_constraints
+from cagemap.numerics.kinds import kinds_checked
+from cagemap.paper.constraints import ConstraintConfig, Constraints, gather_constraints
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
 from cagemap.paper.method import FEWEST_FUNCTIONS, finer_level_pairs, search_levels
@@ -37,11 +37,9 @@ FACING_WEIGHTS = (0.03, 0.1)  # weights of normals: first search; where the side
 
 
 @dataclass(frozen=True, repr=False)
-class HfmConfig(Config):
+class HfmConfig(ConstraintConfig):
     """Parameters of `hfm`; the defaults were found by measurement."""
 
-    descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()  #: weights of eq. 13
     zoomout: ZoomOutSchedule = ZoomOutSchedule()  #: eq. 13 is solved for the first number of functions
     position_weight: float = 10.0  #: weight of displaced positions relative to basis functions, times sqrt(k)
     normal_weight: float = 1.0  #: weight of the displaced normals, times sqrt(k)
@@ -81,8 +79,8 @@ def hfm_map(
         )
     first = min(config.zoomout.first, most)
     if start is None:
-        constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
-        functional_map = solve_functional_map(constraints.leading(first, first), config.weights)
+        constraints = gather_constraints(pair, config) if constraints is None else constraints
+        functional_map = solve_functional_map(constraints.leading(first, first), config)
     else:
         functional_map = functional_map_from(pair, start, (first, first))
     functional_map, displacement = zoomout_all_bands(pair, levels, functional_map, config)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,20 +45,11 @@ class SolverConfig(Config):
 SOLVER = SolverConfig()
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class EigenPairs:
-    """Consecutive eigenpairs of one level, W X = M X Lambda."""
+class EigenPairs(NamedTuple):
+    """Consecutive eigenpairs of one level, W X = M X Lambda; both arrays are read-only."""
 
     values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
     vectors: NDArray[Any]  #: (n, m) M-orthonormal; in single precision if computed to a low accuracy
-    first_index: int  #: index of the first pair in the level's whole spectrum, from 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", read_only(self.values))
-        object.__setattr__(self, "vectors", read_only(self.vectors))
-
-    def __repr__(self) -> str:
-        return f"EigenPairs({self.first_index} to {self.first_index + len(self.values) - 1} of {len(self.vectors)})"
 
 
 def residual_norms(
@@ -114,7 +105,7 @@ def band_pairs(
                 f"expected a range of eigenpairs within 0 to {len(values)}, as many as the level has independent "
                 f"functions, got {first} to {last}; start at a finer level"
             )
-        return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
+        return EigenPairs(read_only(values[first:last]), read_only(np.ascontiguousarray(vectors[:, first:last])))
     # Factors in double precision: with slivers, single precision lost all digits (docs/lab/performance.md).
     low, high = max(0, first - SOLVER.extra_pairs), min(n, last + SOLVER.extra_pairs)
     shifted, sigma = _shift_inside(stiffness, mass, low, high, like)
@@ -136,7 +127,7 @@ def band_pairs(
         )
         if not any(in_threads(partial(missed_pairs, stiffness, mass, values, low, shifted), (first, last))):
             chosen = slice(first - low, last - low)
-            return EigenPairs(values[chosen], np.ascontiguousarray(vectors[:, chosen]), first)
+            return EigenPairs(read_only(values[chosen]), read_only(np.ascontiguousarray(vectors[:, chosen])))
     raise SolverError(
         f"expected eigenpairs {first} to {last - 1}, but the inertia of the shifted matrix counts others between them; "
         "an eigenvalue of multiplicity above 64 is likely: ask for a number of pairs that does not split it"

@@ -13,7 +13,7 @@ from cagemap.errors import InvalidMeshError, ParameterError, SolverError
 from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
-from cagemap.numerics.arrays import FloatArray, members_of, offsets_of
+from cagemap.numerics.arrays import FloatArray, members_of, offsets_of, read_only
 from cagemap.numerics.factorization import Factorization, factor, multiply
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread, row_slices
@@ -100,7 +100,7 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
         columns = np.flatnonzero((lowest >= start) & (lowest < start + len(pairs.values)))
         vectors[np.ix_(part, columns)] = pairs.vectors[:, lowest[columns] - start]
         start += len(pairs.values)
-    return EigenPairs(values[lowest], vectors, 0)
+    return EigenPairs(read_only(values[lowest]), read_only(vectors))
 
 
 def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float, area: float) -> EigenPairs:
@@ -125,7 +125,7 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
             if (np.diff(values) < 0.0).any():  # equal ones differ by rounding
                 order = np.argsort(values, kind="stable")
                 values, vectors = values[order], vectors.take(order, axis=1)
-            return EigenPairs(values, vectors, 0)
+            return EigenPairs(read_only(values), read_only(vectors))
         if iteration == MAX_INVERSE_ITERATIONS:
             break
         improve = partial(_improve, shifted, areas, values - shift, vectors)
