@@ -36,8 +36,9 @@ from cagemap.maps.projection.project import project as _project
 from cagemap.maps.projection.project import unfold as _unfold
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.quality import judge as _judge
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.inputs import control_mesh
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, shown, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.paper.constraints import (

@@ -42,8 +42,8 @@ from cagemap.maps.functional_maps import LevelMap
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import on_cage
 from cagemap.mesh.checks import check_mesh
-from cagemap.mesh.landmarks import on_cage
 from cagemap.mesh.parts import extract_faces, list_parts
 from cagemap.pipeline import prepare_surface
 from cagemap.report import build_page

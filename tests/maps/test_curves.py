@@ -16,8 +16,8 @@ from cagemap.errors import FormatError
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, curve_pairs, point_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
-from cagemap.mesh.curves import CagePoints, CurvePair
-from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
+from cagemap.mesh.cage_points import CagePoints, CurvePair, NamedPoints
+from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
 from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
@@ -211,7 +211,7 @@ def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -
 
 
 def _through(places: np.ndarray):
-    from cagemap.mesh.curves import NamedCurve
+    from cagemap.mesh.cage_points import NamedCurve
 
     return NamedCurve("belt", np.full(len(places), -1), places, closed=True)
 

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics import factorization
-from cagemap.numerics.factorization import factor, factor_general
+from cagemap.numerics.sparse import factor, factor_general
 from cagemap.operators import build_operators
 from cagemap.subdivision import refine
 

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import eigsh
 
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics import factorization
-from cagemap.numerics.factorization import _multiply_rows, multiply
+from cagemap.numerics.sparse import _multiply_rows, multiply
 from cagemap.operators import build_operators
 from cagemap.spectral import band_pairs, eigenpairs, exact_basis
 from cagemap.spectral.eigenpairs import SOLVER

@@ -13,8 +13,8 @@ from scipy import linalg, sparse
 
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics.arrays import FloatArray, read_only
-from cagemap.numerics.factorization import Factorization, Precision, factor, multiply
 from cagemap.numerics.kinds import Config
+from cagemap.numerics.sparse import Factorization, Precision, factor, multiply
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, row_slices
 from cagemap.operators import Operators
 

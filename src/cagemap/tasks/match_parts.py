@@ -9,8 +9,9 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import Renumbering
 from cagemap.mesh.checks import require_valid
-from cagemap.mesh.landmarks import Landmarks, Renumbering, check_landmarks
+from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import (
     Part,

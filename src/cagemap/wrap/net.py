@@ -30,8 +30,8 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.relax import label_patches
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.kinds import Config
+from cagemap.numerics.sparse import Factorization, factor
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.subdivision import Refinement, finest_mesh, level_triangles
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface

@@ -29,7 +29,7 @@ from cagemap.deform.config import ElasticConfig, LandmarkConfig
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.sparse import Factorization, factor
 from cagemap.numerics.threads import kept, row_slices
 from cagemap.surface.triangles import normalize_rows
 
