@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
 from cagemap.errors import ParameterError, SolverError
-from cagemap.numerics import factorization
+from cagemap.numerics import sparse as numerics_sparse
 from cagemap.numerics.sparse import _multiply_rows, multiply
 from cagemap.operators import build_operators
 from cagemap.spectral import band_pairs, eigenpairs, exact_basis
@@ -121,7 +121,7 @@ def test_without_rslab(creature, reference, monkeypatch, caplog, inertia):
     """SuperLU serves too, with inertia read off its diagonal, or without any."""
 
     def without(matrix, *, like=None, dtype=np.float64):
-        factors = factorization._factor_superlu(matrix, dtype)
+        factors = numerics_sparse._factor_superlu(matrix, dtype)
         return factors if inertia else replace(factors, negative_eigenvalues=None)
 
     monkeypatch.setattr(eigenpairs, "factor", without)

@@ -34,6 +34,7 @@ from cagemap.surface.triangles import vertex_normals
 
 ZOOMOUT_SAMPLES = 3000  # number of vertices of each surface in ZoomOut
 FACING_WEIGHTS = (0.03, 0.1)  # weights of normals: first search; where the sides of a thin part differ
+Displacement = tuple[FloatArray, FloatArray]  # of x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3)
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,9 +52,6 @@ class HfmConfig(ConstraintConfig):
         super().__post_init__()
         if self.zoomout.first < FEWEST_FUNCTIONS:
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
-
-
-Displacement = tuple[FloatArray, FloatArray]  # of x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3)
 
 
 @kinds_checked

@@ -18,6 +18,7 @@ from cagemap.subdivision import Refinement
 SAME_ROW = 1e-9  # rows of S^l are equal if their products with random functions differ by less than this
 UNKNOWN = -1
 OPERATOR_COLUMNS = 32  # number of basis functions to which an operator is applied at once: 256 MB at a million vertices
+AGREEMENT = 0.5  # least share of landmarks that two paired mirror planes map to the same landmarks
 
 
 def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
@@ -79,9 +80,6 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
             values = basis.hierarchy.prolong(band[:, start : start + OPERATOR_COLUMNS], i, level)
             columns.append(basis.project(np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry]), level))
     return np.triu(np.tril(np.hstack(columns), 1), -1)
-
-
-AGREEMENT = 0.5  # least share of landmarks that two paired mirror planes map to the same landmarks
 
 
 def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
