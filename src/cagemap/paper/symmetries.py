@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair, SymmetryPair
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.mirrors import Mirror, mirror_symmetries
+from cagemap.mesh.mirrors import Mirror, mirror_symmetries, reflect
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral.basis import HierarchicalBasis
@@ -112,5 +112,5 @@ def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
 
 def _partners(mirror: Mirror, places: FloatArray) -> IndexArray:
     """(p,) landmark nearest to every landmark's mirror image."""
-    squared = np.sum((mirror.reflect(places)[:, None] - places[None, :]) ** 2, axis=2)
+    squared = np.sum((reflect(places, mirror.normal, mirror.offset)[:, None] - places[None, :]) ** 2, axis=2)
     return np.asarray(np.argmin(squared, axis=1)) if len(places) else np.zeros(0, dtype=np.int64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +13,7 @@ from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.numerics.arrays import FloatArray, members_of, offsets_of, read_only
-from cagemap.numerics.sparse import Factorization, factor, multiply
+from cagemap.numerics.sparse import factor, multiply
 from cagemap.numerics.threads import in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.eigenpairs import (
@@ -105,6 +104,11 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
     initial = band_pairs(weights, mass, 0, k, accuracy=krylov_accuracy, like=shifted)
     values, vectors = np.array(initial.values), np.array(initial.vectors, dtype=np.float64, order="C")
     parts = row_slices(k, COLUMN_BLOCK)
+
+    def improve(part: slice) -> None:
+        """One inverse iteration of some vectors."""
+        vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
+
     for iteration in range(MAX_INVERSE_ITERATIONS + 1):
         worst = np.inf
         if iteration or initial.vectors.dtype == np.float64:
@@ -120,7 +124,6 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
             return EigenPairs(read_only(values), read_only(vectors))
         if iteration == MAX_INVERSE_ITERATIONS:
             break
-        improve = partial(_improve, shifted, areas, values - shift, vectors)
         for first in range(0, len(parts), 2):
             in_threads(improve, parts[first : first + 2])
         # M-orthonormal in order, as inverse iteration amplifies the lower vectors in each.
@@ -129,8 +132,3 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; remove triangles of almost no area, "
         "or ask `cagemap.eigenpairs` for a lower accuracy, at most 0.01"
     )
-
-
-def _improve(shifted: Factorization, areas: FloatArray, factors: FloatArray, vectors: FloatArray, part: slice) -> None:
-    """One inverse iteration of some columns of vectors (n, k), in place."""
-    vectors[:, part] = factors[part] * shifted.solve(areas[:, None] * vectors[:, part])
