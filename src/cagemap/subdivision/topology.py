@@ -51,7 +51,7 @@ def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
     edges, vertices = np.zeros(topology.n_edges), np.zeros(control.n_vertices)
     if control.crease_edges is not None and control.crease_sharpness is not None:
         keys, creases = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
-        # Edges ascend, see `topology_of`.
+        # Edges ascend, see `layout_topology`.
         edges[np.searchsorted(keys, creases)] = np.clip(control.crease_sharpness, 0.0, INFINITE_SHARPNESS)
     if control.corner_vertices is not None and control.corner_sharpness is not None:
         vertices[control.corner_vertices] = np.clip(control.corner_sharpness, 0.0, INFINITE_SHARPNESS)
@@ -124,6 +124,7 @@ def split_topology(parent: Topology, scheme: Scheme) -> Topology:
     else:
         edges = np.stack([outgoing, new, new[previous], incoming], axis=1)
         forward = np.stack([parent.forward, new_forward, ~new_forward, incoming_forward], axis=1)
+    corners = np.arange(edges.size, dtype=np.int32).reshape(edges.shape)
     return Topology(
         parent.n_vertices + parent.n_edges + (0 if loop else parent.n_faces),
         2 * parent.n_edges + count,
@@ -131,7 +132,9 @@ def split_topology(parent: Topology, scheme: Scheme) -> Topology:
         children(parent, scheme).ravel(),
         edges.ravel(),
         forward.ravel(),
-        *_corner_neighbours(*edges.shape),
+        np.repeat(np.arange(len(edges), dtype=np.int32), edges.shape[1]),
+        np.roll(corners, -1, axis=1).ravel(),
+        np.roll(corners, 1, axis=1).ravel(),
     )
 
 
@@ -152,13 +155,6 @@ def children(parent: Topology, scheme: Scheme) -> IntArray:
 def _with_middle(tips: Array, middle: Array) -> Array:
     """(4 m, 3) corner values of every triangle's three corner triangles (3 m, 3) and middle one (m, 3)."""
     return np.concatenate([tips.reshape(-1, 3, 3), middle[:, None]], axis=1).reshape(-1, 3)  # type: ignore[return-value]
-
-
-def _corner_neighbours(n_faces: int, size: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Face, following and previous corner of every corner, for faces of ``size`` corners."""
-    corners = np.arange(n_faces * size, dtype=np.int32).reshape(n_faces, size)
-    faces = np.repeat(np.arange(n_faces, dtype=np.int32), size)
-    return faces, np.roll(corners, -1, axis=1).ravel(), np.roll(corners, 1, axis=1).ravel()
 
 
 def _sharp_state(
