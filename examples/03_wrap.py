@@ -10,6 +10,6 @@ source = cagemap.prepare_surface(pair.source, level=3)
 result = cagemap.match(target, source, pair.landmarks)
 
 wrapped = wrap(target.refinement, result.point_map)
-print(f"mean distance to the pony: {100 * wrapped.residual.mean:.3f} % of its size")
+print(f"mean distance to the pony: {100 * wrapped.distance.mean():.3f} % of its size")
 print("folded faces:", len(wrapped.folded))
 cagemap.write_mesh("deer_as_pony.obj", wrapped.mesh)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.paper.data import SCHEDULE, color_scale, human, picture, prepared, verdict
 from cagemap.operators import build_operators
-from cagemap.paper.descriptors import heat_filters, heat_times, signatures
+from cagemap.paper.constraints import heat_filters, heat_times, signatures
 from cagemap.pictures import BALANCE_SCALE, scalar_colors
 from cagemap.spectral import exact_basis
 from cagemap.spectral.basis import HierarchicalBasis

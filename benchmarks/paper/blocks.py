@@ -18,9 +18,9 @@ from benchmarks.paper.stages import extended, noise, zero
 from cagemap.maps.pair import Pair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.paper import method
-from cagemap.paper.descriptors import (
+from cagemap.paper.constraints import (
+    ConstraintConfig,
     Constraints,
-    DescriptorConfig,
     SpectralData,
     gather_constraints,
     landmark_descriptors,
@@ -115,7 +115,7 @@ def measured(at: Case, pair: Pair, constraints: Constraints, first: int) -> dict
         results[name] = at.judged.error(points.images.positions)
     high, true = seen[0][first:, first:], at.truth[first:, first:]
     gram = constraints.source.descriptors[first:] @ constraints.source.descriptors[first:].T
-    determined = float(np.mean(np.linalg.eigvalsh(gram) > PaperConfig().weights.decay))
+    determined = float(np.mean(np.linalg.eigvalsh(gram) > PaperConfig().decay))
     norms = float(np.linalg.norm(high)), float(np.linalg.norm(true))
     cosine = float(np.sum(high * true) / (norms[0] * norms[1]))
     return {"norm": norms[0] / norms[1], "cosine": cosine, "rank": determined, **results}
@@ -123,8 +123,8 @@ def measured(at: Case, pair: Pair, constraints: Constraints, first: int) -> dict
 
 def of_both(pair: Pair, made: Callable[[Surface, np.ndarray], np.ndarray]) -> Constraints:
     """Descriptors (k, q) of both surfaces from their landmarks, beside the usual signatures and symmetries."""
-    usual = gather_constraints(pair, DescriptorConfig())
-    filters = usual.target.descriptors.shape[1] - DescriptorConfig().heat - DescriptorConfig().wave
+    usual = gather_constraints(pair, ConstraintConfig())
+    filters = usual.target.descriptors.shape[1] - ConstraintConfig().heat - ConstraintConfig().wave
     sides = []
     for surface, landmarks, data in (
         (pair.target, pair.target_landmarks, usual.target), (pair.source, pair.source_landmarks, usual.source),
@@ -229,8 +229,8 @@ def figure_of_blocks() -> tuple[Figure, str]:
     lines += ["", HEAD.format("descriptors (30 landmarks, 40 functions on level 0)")]
     kinds: dict[str, Callable[[Pair], Constraints]] = {
         "10 heat and 20 wave kernels": gather_constraints,
-        "60 wave kernels": lambda pair: gather_constraints(pair, DescriptorConfig(heat=0, wave=60)),
-        "150 wave kernels": lambda pair: gather_constraints(pair, DescriptorConfig(heat=0, wave=150)),
+        "60 wave kernels": lambda pair: gather_constraints(pair, ConstraintConfig(heat=0, wave=60)),
+        "150 wave kernels": lambda pair: gather_constraints(pair, ConstraintConfig(heat=0, wave=150)),
         "kernels 5 functions wide": lambda pair: of_both(pair, bands(30)),
         "kernels 1 function wide": lambda pair: of_both(pair, bands(150)),
         "normalised on each level": lambda pair: per_level(gather_constraints(pair), 40),

@@ -16,7 +16,7 @@ from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import flipped_triangles
 from cagemap.maps.result import LevelMap
-from cagemap.paper.descriptors import choose_filters, landmark_descriptors
+from cagemap.paper.constraints import choose_filters, landmark_descriptors
 from cagemap.paper.method import paper_map
 from cagemap.pictures import (
     AMOUNT_SCALE,

@@ -17,7 +17,7 @@ from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import LevelMap
 from cagemap.paper import hfm, method
-from cagemap.paper.descriptors import DescriptorConfig, gather_constraints
+from cagemap.paper.constraints import ConstraintConfig, gather_constraints
 from cagemap.paper.hfm import HfmConfig, hfm_map
 from cagemap.paper.method import PaperConfig, finer_level_pairs, paper_map, recover_points, search_level
 from cagemap.pipeline import MatchConfig, choose_level, default_basis, pair_of, prepare_surface
@@ -123,7 +123,6 @@ def variants_of_hfm() -> list[Variant]:
 def variants_of_paper() -> list[Variant]:
     """`paper` and what it is without each stage."""
     on = PaperConfig()
-    weights, descriptors = on.weights, on.descriptors
     return [
         Variant("all", "on", on),
         Variant("eq. 13", "noise", on, {"solve_functional_map": solved(noise)}),
@@ -133,12 +132,12 @@ def variants_of_paper() -> list[Variant]:
         Variant("rounds of 2.1.4", "off", replace(on, rounds=0)),
         Variant("rounds of 2.1.4", "orthonormal", replace(on, orthonormal=True)),
         Variant("rounds of 2.1.4", "one, orthonormal", replace(on, rounds=1, orthonormal=True)),
-        Variant("decay", "off", replace(on, weights=replace(weights, decay=0.0))),
-        Variant("Laplacian", "off", replace(on, weights=replace(weights, laplacian=0.0))),
-        Variant("symmetry", "off", replace(on, weights=replace(weights, operators=0.0))),
-        Variant("signatures", "off", replace(on, descriptors=replace(descriptors, signature_weight=0.0))),
-        Variant("heat kernels", "off", replace(on, descriptors=replace(descriptors, heat=0))),
-        Variant("wave kernels", "off", replace(on, descriptors=replace(descriptors, wave=0))),
+        Variant("decay", "off", replace(on, decay=0.0)),
+        Variant("Laplacian", "off", replace(on, laplacian=0.0)),
+        Variant("symmetry", "off", replace(on, operators=0.0)),
+        Variant("signatures", "off", replace(on, signature_weight=0.0)),
+        Variant("heat kernels", "off", replace(on, heat=0)),
+        Variant("wave kernels", "off", replace(on, wave=0)),
     ]
 
 
@@ -180,7 +179,7 @@ def runs(of: str, vertices: int) -> Iterator[Run]:
                 yield Run(pair, truth, count, (names[source], names[target]) in CHOSEN_ON)
 
 
-def figures(variant: Variant, all_runs: list[Run], constraints: Callable[[Pair, DescriptorConfig], Any]) -> np.ndarray:
+def figures(variant: Variant, all_runs: list[Run], constraints: Callable[[Pair, ConstraintConfig], Any]) -> np.ndarray:
     """(runs, 2) mean error x100 of sqrt(area) and folded area in percent."""
     module, find = (hfm, hfm_map) if isinstance(variant.config, HfmConfig) else (method, paper_map)
     rows = []
@@ -188,7 +187,7 @@ def figures(variant: Variant, all_runs: list[Run], constraints: Callable[[Pair, 
         for name, function in variant.patches.items():
             stack.enter_context(patch.object(module, name, function))
         for run in all_runs:
-            given = constraints(run.pair, variant.config.descriptors)
+            given = constraints(run.pair, variant.config)
             found: PointMap = find(run.pair, variant.config, constraints=given)[1]  # type: ignore[operator]
             judged = compare_with_truth(found, run.truth)
             rows.append((100.0 * judged.mean, 100.0 * judged.flipped_area))

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 
 FAUST_VERTICES = 6890
 # Lists of pairs.

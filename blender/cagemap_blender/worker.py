@@ -28,7 +28,8 @@ from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Part, Rig
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.mesh import ControlMesh, Plain
-from cagemap.mesh.landmarks import Landmarks, NamedPoints, pair_by_name
+from cagemap.mesh.cage_points import NamedPoints
+from cagemap.mesh.landmarks import Landmarks, pair_by_name
 from cagemap.mesh.parts import extract_faces, find_part, numbers_on_part
 from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.schemes import SCHEMES

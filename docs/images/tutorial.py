@@ -18,7 +18,7 @@ from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.maps.pair import locate
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import (
     FRONT,

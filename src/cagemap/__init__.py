@@ -14,6 +14,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from cagemap.deform.config import ElasticConfig as ElasticConfig
     from cagemap.deform.problem import PreparedPair as PreparedPair
+    from cagemap.diffusion_net import operators_for_diffusion_net as operators_for_diffusion_net
     from cagemap.errors import CagemapError as CagemapError
     from cagemap.files.images.image import read_image as read_image
     from cagemap.files.images.image import write_image as write_image
@@ -67,7 +68,6 @@ if TYPE_CHECKING:
     from cagemap.spectral import HierarchicalBasis as HierarchicalBasis
     from cagemap.spectral import Surface as Surface
     from cagemap.spectral.mesh_eigenpairs import eigenpairs as eigenpairs
-    from cagemap.spectral.mesh_eigenpairs import operators_for_diffusion_net as operators_for_diffusion_net
     from cagemap.subdivision import Refinement as Refinement
     from cagemap.subdivision import refine as refine
     from cagemap.surface.triangle_surface import SurfacePoints as SurfacePoints
@@ -90,7 +90,8 @@ if TYPE_CHECKING:
 # Public names by package; `__all__` and `dir` are made from it.
 _PACKAGES = {
     "spectral": ("BasisConfig", "HierarchicalBasis", "Surface"),
-    "spectral.mesh_eigenpairs": ("eigenpairs", "operators_for_diffusion_net"),
+    "spectral.mesh_eigenpairs": ("eigenpairs",),
+    "diffusion_net": ("operators_for_diffusion_net",),
     "deform.config": ("ElasticConfig",),
     "deform.problem": ("PreparedPair",),
     "errors": ("CagemapError",),

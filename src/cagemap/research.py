@@ -35,15 +35,15 @@ from cagemap.maps.projection.project import project as _project
 from cagemap.maps.projection.project import unfold as _unfold
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.quality import judge as _judge
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.inputs import control_mesh, landmark_pairs
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.paper.descriptors import (
+from cagemap.paper.constraints import (
+    ConstraintConfig,
     Constraints,
-    DescriptorConfig,
     Filters,
-    MapWeights,
     choose_filters,
     gather_constraints,
     landmark_descriptors,
@@ -67,10 +67,9 @@ from cagemap.spectral.zoomout import ZoomOutSchedule
 from cagemap.surface.triangle_surface import SurfacePoints
 
 __all__ = [
+    "ConstraintConfig",
     "Constraints",
-    "DescriptorConfig",
     "HfmConfig",
-    "MapWeights",
     "PaperConfig",
     "ZoomOutSchedule",
     "control_mesh",
@@ -167,7 +166,7 @@ def landmark_functions(surface: Surface, filters: Filters, vertices: IndexArray,
 
 @kinds_checked
 def functional_map(
-    pair: Pair, constraints: Constraints, weights: MapWeights = MapWeights(), levels: LevelPair | None = None
+    pair: Pair, constraints: Constraints, config: ConstraintConfig = ConstraintConfig(), levels: LevelPair | None = None
 ) -> FloatArray:
     """C12 from constraints alone: eq. 13 on level 0, then eqs. 14-16 for every band.
 
@@ -176,17 +175,18 @@ def functional_map(
     pair : Pair
     constraints : Constraints
         From `gather_constraints`, or others.
-    weights : MapWeights
+    config : ConstraintConfig
+        Its weights.
     levels : (int, int), optional
         Last levels; default: the finest. ParameterError for others than the pair has.
     """
     last = pair.levels(levels)
     level_pairs = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *finer_level_pairs(pair, (0, 0))]]
-    matrix = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
+    matrix = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), config)
     for level_pair in level_pairs[1:]:
         sizes = basis_sizes(pair, level_pair)
         if sizes != matrix.shape:
-            matrix = extend_functional_map(matrix, constraints.leading(*sizes), weights)
+            matrix = extend_functional_map(matrix, constraints.leading(*sizes), config)
     return matrix
 
 

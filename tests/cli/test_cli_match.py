@@ -20,7 +20,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.result.surface_store import load_or_prepare
 from cagemap.mesh import Bilinear, CatmullClark
-from cagemap.mesh.landmarks import NamedPoints
+from cagemap.mesh.cage_points import NamedPoints
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.operators import build_operators, named_laplacian

@@ -9,7 +9,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.values.attributes import read_attributes
 from cagemap.mesh import Plain
-from cagemap.paper.descriptors import heat_filters
+from cagemap.paper.constraints import heat_filters
 from cagemap.pipeline import prepare_surface
 from cagemap.spectral import BasisConfig
 from cagemap.tasks.functions import run_functions

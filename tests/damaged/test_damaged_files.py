@@ -42,8 +42,8 @@ from cagemap.maps.functional_maps import LevelMap
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import on_cage
 from cagemap.mesh.checks import check_mesh
-from cagemap.mesh.landmarks import on_cage
 from cagemap.mesh.parts import extract_faces, list_parts
 from cagemap.pipeline import prepare_surface
 from cagemap.report import build_page
@@ -52,7 +52,7 @@ from cagemap.spectral import BasisConfig
 from cagemap.studio.autosave import read_autosave, read_autosave_parts, write_autosave
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 from cagemap.studio.opening import result_files
-from cagemap.subdivision import limit_positions, refine
+from cagemap.subdivision import refine
 from cagemap.tasks.masks import read_mask
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
@@ -244,7 +244,6 @@ def use_asset(path: Path) -> None:
         extract_faces(mesh, part.faces)
     refinement = refine(mesh, 1)
     assert np.isfinite(refinement.finest.positions).all()
-    limit_positions(refinement, 1)
 
 
 def use_points(path: Path) -> None:

@@ -25,9 +25,9 @@ from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.factorization import factor
+from cagemap.numerics.sparse import factor
 from cagemap.operators import build_operators
 from cagemap.pipeline import MatchConfig, prepare_pair, prepare_surface
 from cagemap.spectral.zoomout import landmark_coordinates

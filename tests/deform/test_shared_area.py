@@ -14,7 +14,7 @@ from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.projection.project import facing_points
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.schemes import Plain
 from cagemap.pipeline import MatchResult, match, prepare_surface, update_match
 from cagemap.subdivision import level_triangles, refine

@@ -175,6 +175,7 @@ def test_the_architecture_names_every_package_in_the_order_of_imports() -> None:
     ][0]
     layers = [sorted(re.findall(r"\w+", layer)) for layer in reversed(contract["layers"])]
     assert {*shown} == {path.parent.name for path in SOURCE.glob("*/__init__.py")} | {
+        "diffusion_net",
         "errors",
         "match_config",
         "pipeline",

@@ -83,7 +83,7 @@ def test_meshes_come_in_many_forms():
 
 def test_the_identity_is_found_from_constraints_and_transports_functions(itself):
     constraints = research.gather_constraints(itself)
-    found = research.functional_map(itself, constraints, research.MapWeights(decay=0.0))
+    found = research.functional_map(itself, constraints, research.ConstraintConfig(decay=0.0))
     np.testing.assert_allclose(found, np.eye(30), atol=1e-6)
     values = itself.source.basis.at(1) @ np.arange(30.0)
     np.testing.assert_allclose(research.transport(itself, found, values, 1, 1), values, atol=1e-4)
@@ -184,7 +184,7 @@ def test_operators_are_taken_where_coarse_levels_have_no_functions(recwarn):
     vertices = np.arange(0, 40, 5)
     pair = research.make_pair(surface, surface, (vertices, vertices))
     constraints = research.gather_constraints(pair).with_operators(np.eye(12), np.eye(12))
-    found = research.functional_map(pair, constraints, research.MapWeights(decay=0.0))
+    found = research.functional_map(pair, constraints, research.ConstraintConfig(decay=0.0))
     np.testing.assert_allclose(found, np.eye(12), atol=1e-6)
     assert not recwarn.list
 

@@ -18,9 +18,9 @@ from cagemap.files.landmarks.point_formats import POINT_FORMS, write_points
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.ownership import mark
 from cagemap.maps.pair import NEAR_VERTICES
-from cagemap.mesh.curves import NamedCurve
+from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
 from cagemap.mesh.faces import cage_triangles
-from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, pair_by_name
+from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 
 from plain_meshes import bent
 from quick_match import QUICK

@@ -23,7 +23,7 @@ from cagemap.jobs.job import read_job
 from cagemap.jobs.plan import Plan, plan_job
 from cagemap.jobs.tree import spanning_tree
 from cagemap.maps.pair import cage_points_of, locate
-from cagemap.mesh.landmarks import NamedPoints
+from cagemap.mesh.cage_points import NamedPoints
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.spectral.surface import prepare_surface
 from cagemap.surface.triangle_surface import SurfacePoints

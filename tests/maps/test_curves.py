@@ -16,10 +16,10 @@ from cagemap.errors import FormatError
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, curve_pairs, point_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
-from cagemap.mesh.curves import CagePoints, CurvePair
-from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, pair_by_name
+from cagemap.mesh.cage_points import CagePoints, CurvePair, NamedPoints
+from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
-from cagemap.paper.descriptors import curve_rows
+from cagemap.paper.constraints import curve_rows
 from cagemap.pipeline import MatchResult, match, update_match
 from cagemap.spectral.surface import prepare_surfaces
 from cagemap.subdivision import refine
@@ -211,7 +211,7 @@ def test_a_curve_through_places_lies_on_the_surface_near_them(surfaces: tuple) -
 
 
 def _through(places: np.ndarray):
-    from cagemap.mesh.curves import NamedCurve
+    from cagemap.mesh.cage_points import NamedCurve
 
     return NamedCurve("belt", np.full(len(places), -1), places, closed=True)
 
@@ -233,7 +233,7 @@ def test_curves_give_the_start_coordinates_and_no_vertex_twice(surfaces: tuple) 
             assert 3 <= len(own) <= StartConfig.curve_points
 
 
-def test_descriptors_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> None:
+def test_constraints_of_a_curve_are_the_mean_of_its_points(surfaces: tuple) -> None:
     pair = curve_pairs(*surfaces, rings_of(surfaces[0].control))[0]
     surface, curve = surfaces[0], pair.target
     vertices = curve.points.corners[np.arange(len(curve.points)), curve.points.barycentric.argmax(axis=1)]

@@ -19,7 +19,7 @@ from cagemap.maps.landmarks.suspects import exchanged_sides, misplaced_pairs, or
 from cagemap.maps.pair import Pair, no_progress, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count

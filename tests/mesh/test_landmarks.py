@@ -14,7 +14,8 @@ from test_obj import QUICK
 from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, pair_by_name
+from cagemap.mesh.cage_points import CagePoints, NamedPoints
+from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 
 PAIRS = [{"name": name, "source": 2 * i, "target": i} for i, name in enumerate(("nose", "tail", "left hoof", "navel"))]
 

@@ -18,7 +18,8 @@ from cagemap.files.meshes.obj_write import write_obj
 from cagemap.files.result.folder import read_result
 from cagemap.files.result.merged_parts import part_numbers
 from cagemap.mesh import CatmullClark, ControlMesh, Loop
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import connected_parts, extract_faces, find_part, join_meshes, list_parts
 from cagemap.studio.models import open_model
 from cagemap.subdivision import refine, with_options

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.paper.descriptors import Constraints, MapWeights, SpectralData
+from cagemap.paper.constraints import ConstraintConfig, Constraints, SpectralData
 from cagemap.paper.equations import extend_functional_map, laplacian_penalties, solve_functional_map
 
 from refusals import refuses
 
 RNG = np.random.default_rng(20190)
-LITERAL = MapWeights(laplacian=0.1, operators=0.3, decay=0.0)
+LITERAL = ConstraintConfig(laplacian=0.1, operators=0.3, decay=0.0)
 
 
 def tridiagonal(k: int) -> np.ndarray:
@@ -73,7 +73,7 @@ def test_few_descriptors_and_the_laplacian_still_decide():
     """With fewer descriptors than functions the commutativity alone fixes what the data leave open."""
     k = 10
     same = SpectralData(4 * np.pi * np.arange(k), RNG.standard_normal((k, 3)))
-    found = solve_functional_map(Constraints(same, same), MapWeights(laplacian=100.0, decay=0.0))
+    found = solve_functional_map(Constraints(same, same), ConstraintConfig(laplacian=100.0, decay=0.0))
     np.testing.assert_allclose(found, np.diag(np.diag(found)), atol=0.2)
     np.testing.assert_allclose(np.diag(found), 1.0, atol=0.05)
 
@@ -84,7 +84,7 @@ def test_decay_silences_rows_that_no_descriptor_speaks_about():
     same = data(k, 30)
     descriptors = np.where(np.arange(k)[:, None] < known, same.descriptors, 1e-4 * same.descriptors)
     same = replace(same, descriptors=descriptors)
-    norms = np.linalg.norm(solve_functional_map(Constraints(same, same), MapWeights()), axis=1)
+    norms = np.linalg.norm(solve_functional_map(Constraints(same, same), ConstraintConfig()), axis=1)
     assert norms[:known].min() > 0.8
     assert norms[known:].max() < 1e-3
 
@@ -151,7 +151,7 @@ def test_extension_with_one_empty_band(grown, kind):
     operators = ((), ()) if kind is None else ((kind(k1),), (kind(k2),))
     constraints = Constraints(data(k1, 20, *operators[0]), data(k2, 20, *operators[1]))
     coarse = RNG.standard_normal((5, 5))
-    extended = extend_functional_map(coarse, constraints, MapWeights())
+    extended = extend_functional_map(coarse, constraints, ConstraintConfig())
     assert extended.shape == (k1, k2)
     np.testing.assert_array_equal(extended[:5, :5], coarse)
 
@@ -170,6 +170,6 @@ def test_data_that_cannot_be_compared_are_refused():
     with pytest.raises(ParameterError, match="as many target as source operators, got 1 and 0"):
         Constraints(data(3, 4, np.eye(3)), data(3, 4))
     refuses(ParameterError, "source: expected 3 rows", Constraints, data(3, 4, np.eye(3)), data(3, 4, np.eye(4)))
-    refuses(ParameterError, "decay: expected a number of at least 0, got -1", MapWeights, decay=-1.0)
+    refuses(ParameterError, "decay: expected a number of at least 0, got -1", ConstraintConfig, decay=-1.0)
     with pytest.raises(ParameterError, match="known block"):
-        solve_functional_map(Constraints(data(3, 4), data(3, 4)), MapWeights(), known=np.zeros((4, 2)))
+        solve_functional_map(Constraints(data(3, 4), data(3, 4)), ConstraintConfig(), known=np.zeros((4, 2)))

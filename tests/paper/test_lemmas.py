@@ -7,7 +7,7 @@ from scipy import linalg
 
 from cagemap.errors import ParameterError
 from cagemap.operators import build_operators
-from cagemap.paper.descriptors import heat_filters, heat_times, landmark_descriptors, signatures
+from cagemap.paper.constraints import heat_filters, heat_times, landmark_descriptors, signatures
 from cagemap.spectral import BasisConfig, exact_basis, hierarchical_basis
 from cagemap.subdivision import refine
 

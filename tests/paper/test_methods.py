@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.paper import hfm, method
-from cagemap.paper.descriptors import MapWeights
 from cagemap.paper.hfm import HfmConfig, both_directions, fit_displacement, hfm_map
 from cagemap.paper.method import PaperConfig, nearest_orthonormal, paper_map, search_levels
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
@@ -33,7 +32,7 @@ def test_the_paper_method_gets_better_from_level_to_level_and_by_decay_and_alter
     errors = judged.errors(*paper_map(judged.pair))
     assert errors[0] > errors[1]
     assert errors[-1] < 5.0
-    literal = PaperConfig(weights=replace(MapWeights(), decay=0.0), rounds=0)
+    literal = PaperConfig(decay=0.0, rounds=0)
     assert judged.errors(*paper_map(judged.pair, literal))[-1] > 1.3 * errors[-1]
     maps, _ = paper_map(judged.pair, PaperConfig(orthonormal=True))
     for level_map in maps:
@@ -142,7 +141,7 @@ def test_finer_levels_start_from_the_same_map():
 def test_maps_of_all_levels_are_returned_and_are_the_identity():
     """A surface and itself: C = I and every vertex its own match, level by level."""
     pair = creature_pair()
-    maps, points = paper_map(pair, PaperConfig(weights=MapWeights(decay=0.0)))
+    maps, points = paper_map(pair, PaperConfig(decay=0.0))
     assert [found.levels for found in maps] == [(0, 0), (1, 1)]
     for found, size in zip(maps, (20, 30), strict=True):
         np.testing.assert_allclose(found.functional_map, np.eye(size), atol=1e-6)

@@ -5,7 +5,7 @@ import pytest
 from examples.shapes import creature
 
 from cagemap import BasisConfig, MatchConfig, match, prepare_surface
-from cagemap.paper.descriptors import Constraints, MapWeights, SpectralData
+from cagemap.paper.constraints import ConstraintConfig, Constraints, SpectralData
 from cagemap.paper.equations import solve_functional_map
 
 from refusals import Refusal
@@ -25,7 +25,7 @@ def enormous(_: object) -> None:
         SpectralData(np.arange(float(k)), rng.standard_normal((k, 4)), (1e6 * rng.standard_normal((k, k)),))
         for k in (40, 30)
     )
-    solve_functional_map(Constraints(*sides), MapWeights(laplacian=0.1, operators=1e6, decay=0.0))
+    solve_functional_map(Constraints(*sides), ConstraintConfig(laplacian=0.1, operators=1e6, decay=0.0))
 
 
 REFUSED = {

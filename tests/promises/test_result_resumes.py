@@ -11,7 +11,7 @@ from cagemap import BasisConfig, Landmarks, MatchResult
 from cagemap.deform.placement import Placement
 from cagemap.errors import ParameterError
 from cagemap.maps.hypotheses.confidence import Confidence
-from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.pipeline import other_answer
 
 from example_once import example_pair

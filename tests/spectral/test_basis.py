@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.operators import build_operators
-from cagemap.paper.descriptors import DescriptorConfig
+from cagemap.paper.constraints import ConstraintConfig
 from cagemap.spectral import BasisConfig, Surface, exact_basis, hierarchical_basis
 from cagemap.spectral.basis import MIN_VERTICES, VERTICES_PER_FUNCTION, label_clusters, new_directions
 from cagemap.spectral.eigenpairs import SOLVER
@@ -286,7 +286,7 @@ def test_whole_numbers_of_a_config_become_plain_ones() -> None:
     assert config == BasisConfig(count=4, vertices=100, schedule=(3, 1))
     numbers = (config.count, config.vertices, *(config.schedule or ()))
     assert [type(number) for number in numbers] == [int] * 4
-    assert type(DescriptorConfig(heat=np.int64(3)).heat) is int  # type: ignore[arg-type]
+    assert type(ConstraintConfig(heat=np.int64(3)).heat) is int  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="vertices: expected a whole number"):
         BasisConfig(vertices=2.5)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match="count: expected a whole number of at least 1, got None"):

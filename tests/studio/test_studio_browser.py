@@ -14,7 +14,7 @@ import pytest
 from cagemap.files.images.image import read_image
 from cagemap.files.landmarks.point_formats import POINT_FORMS
 from cagemap.files.meshes.formats import read_mesh
-from cagemap.mesh.curves import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import choose_level
 from cagemap.studio.autosave import autosave_path

@@ -19,13 +19,13 @@ from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import stated_inputs
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import CurvePair
-from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import extract_faces, in_one_piece, join_meshes, list_parts, numbers_on_part
+from cagemap.mesh.cage_points import CagePoints, CurvePair
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract_faces, join_meshes, list_parts, numbers_on_part
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, read_autosave_parts, write_autosave
 from cagemap.studio.compute import OpenModels, PairFiles, run_task
 from cagemap.studio.downloads import textured_model
-from cagemap.studio.file_parts import select_part
+from cagemap.studio.file_parts import in_one_piece, select_part
 from cagemap.studio.finish import FinishOptions, finish_commands
 from cagemap.studio.landmark_files import (
     autosaved_landmarks,

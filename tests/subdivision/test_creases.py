@@ -12,7 +12,7 @@ from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.pipeline import match, prepare_surface
 from cagemap.spectral import BasisConfig
-from cagemap.subdivision import finest_mesh, limit_normals, limit_positions, refine
+from cagemap.subdivision import finest_mesh, refine
 
 from plain_meshes import marks_at
 
@@ -69,25 +69,6 @@ def test_numbering_does_not_matter_with_creases() -> None:
     for scheme in (Loop(), CatmullClark(creasing="chaikin")):
         mine, theirs = refine(mesh, 3, scheme), refine(other, 3, scheme)
         np.testing.assert_allclose(theirs.finest.positions[new], mine.finest.positions[:12], atol=1e-13)
-        ours, others = limit_positions(mine, 1), limit_positions(theirs, 1)
-        np.testing.assert_allclose(others[new], ours[:12], atol=1e-13)
-
-
-@pytest.mark.parametrize("scheme", [CatmullClark(), CatmullClark(creasing="chaikin"), Loop()], ids=str)
-def test_limits_with_creases_do_not_depend_on_the_level(scheme: CatmullClark | Loop) -> None:
-    mesh = icosahedron()
-    rng = np.random.default_rng(31)
-    mesh = mesh.with_positions(mesh.positions + 0.2 * rng.standard_normal((12, 3)))
-    mesh = mesh.with_creases(
-        np.concatenate([_edges_of_face(mesh, f)[:2] for f in (0, 3, 9)]), [0.5, 1.3, 2.6, 10, 3, 1]
-    )
-    refinement = refine(mesh.with_corners([11], 1.7), 3, scheme)
-    for level in (1, 2):
-        kept = refinement.levels[level].n_vertices
-        for limit in (limit_positions, limit_normals):
-            coarse, fine = limit(refinement, level), limit(refinement, level + 1)[:kept]
-            # A corner's normal is the mean of its sides', and they stay the same ones.
-            np.testing.assert_allclose(coarse, fine, atol=1e-10)
 
 
 def test_creases_beside_the_mesh_are_refused() -> None:
@@ -155,8 +136,6 @@ def test_bilinear_keeps_the_control_mesh() -> None:
     np.testing.assert_allclose(
         refinement.levels[1].positions[-1], mesh.positions[mesh.face(mesh.n_faces - 1)].mean(axis=0)
     )
-    np.testing.assert_array_equal(limit_positions(refinement, 1), refinement.levels[1].positions)
-    assert np.all(np.linalg.norm(limit_normals(refinement, 2), axis=1) > 0.99)
 
 
 def test_the_file_says_how_to_subdivide() -> None:

@@ -29,8 +29,8 @@ from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.faces import cage_triangles
 from cagemap.subdivision import Refinement, default_scheme, finest_mesh, refine, triangles
 from cagemap.subdivision.matrices import polygon_matrix, regular_matrix
-from cagemap.subdivision.refinement import state_of, vertex_counts, with_options
-from cagemap.subdivision.topology import control_topology, fixed_boundary_vertices
+from cagemap.subdivision.refinement import vertex_counts, with_options
+from cagemap.subdivision.topology import control_topology, fixed_boundary_vertices, split_topology
 
 from refusals import refuses
 
@@ -88,9 +88,9 @@ def test_split_topology_is_the_one_of_the_refined_faces(mesh: ControlMesh) -> No
     # The definition: sort all edges of the refined mesh again.
     refinement = refine(mesh, 2)
     assert list(itertools.islice(vertex_counts(mesh), 3)) == [level.n_vertices for level in refinement.levels]
-    for number in (1, 2):
-        level = refinement.levels[number]
-        split = table = state_of(refinement, number).topology
+    split = control_topology(mesh)
+    for level in refinement.levels[1:]:
+        split = table = split_topology(split, refinement.scheme)
         again = control_topology(ControlMesh.from_faces(level.positions, level.faces))
         np.testing.assert_array_equal(table.vertices, again.vertices)
         np.testing.assert_array_equal(split.valences, again.valences)
@@ -399,6 +399,6 @@ def test_interior_vertex_of_valence_2() -> None:
     refinement = refine(mesh, 2)
     np.testing.assert_allclose(refinement.matrices[0][[1]].toarray(), [[3 / 8, 1 / 8, 3 / 8, 1 / 16, 1 / 16]])
     assert all(matrix.has_canonical_format for matrix in refinement.matrices)  # the ring meets some vertices twice
-    topology = state_of(refinement, 1).topology
+    topology = split_topology(control_topology(mesh), refinement.scheme)
     again = polygon_matrix(topology, CatmullClark(), fixed_boundary_vertices(topology, CatmullClark()))
     assert abs(again - refinement.matrices[1]).max() < 1e-15

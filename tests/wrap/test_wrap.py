@@ -18,6 +18,7 @@ from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
+from cagemap.tasks.wrap_figures import wrap_figures
 from cagemap.transfer.rays import intersect_normals
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap, wrapped_transfer
 from cagemap.wrap.fit import detached_pieces, fit_net
@@ -57,7 +58,7 @@ def test_under_the_true_map_the_source_s_own_cage_comes_back(ring: tuple[Refinem
     target, source = ring
     wrapped = wrap(target, same_vertices(target, source), WrapConfig(fairness=1e-9))
     np.testing.assert_allclose(wrapped.mesh.positions, source.control.positions, rtol=0, atol=1e-4)
-    assert wrapped.residual.largest < 1e-4
+    assert wrapped.distance.max() < 1e-4
     assert wrapped.left_out == 0
     assert len(wrapped.folded) == 0
 
@@ -77,10 +78,10 @@ def test_the_refined_surface_lies_on_the_source_and_closer_than_images_do() -> N
     wrapped = wrap(target, point_map)
     images = point_map.images.positions[: target.control.n_vertices]
     _, _, put = closest_points(point_map.source.tree, target.prolong(images, 0, 3))
-    assert wrapped.residual.mean < 0.1 * put.mean()
-    assert wrapped.residual.mean < 1e-3
+    assert wrapped.distance.mean() < 0.1 * put.mean()
+    assert wrapped.distance.mean() < 1e-3
     finer = wrap(target, point_map, WrapConfig(level=1))
-    assert finer.residual.mean < 0.5 * wrapped.residual.mean
+    assert finer.distance.mean() < 0.5 * wrapped.distance.mean()
     assert finer.mesh.n_vertices == target.levels[1].n_vertices
 
 
@@ -113,14 +114,20 @@ def test_weights_hold_a_part_back_and_it_follows_its_surroundings(ring: tuple[Re
         held.surface,
     )[2]
     back = closest_points(TriangleSurface(held.surface, triangles).tree, source.finest.positions)[2]
-    for found, distance in ((held.residual, there), (held.from_source, back)):
+    figures = wrap_figures(held)
+    for name, found, distance in (
+        ("residual", held.distance, there),
+        ("residual_from_source", held.source_distance, back),
+    ):
         parts = distance * point_map.source.scale
+        np.testing.assert_allclose(found, parts, rtol=1e-6, atol=1e-9)
+        shown = figures[name]
         np.testing.assert_allclose(
-            [found.mean, found.p99, found.largest, parts[found.where]],
+            [shown["mean"], shown["p99"], shown["max"], parts[shown["where"]]],
             [parts.mean(), np.percentile(parts, 99), parts.max(), parts.max()],
             rtol=1e-6, atol=1e-9,
         )  # fmt: skip
-    assert held.followed.mean < held.residual.mean
+    assert figures["residual_with_counterpart"]["mean"] < figures["residual"]["mean"]
 
 
 @pytest.mark.slow
@@ -134,7 +141,7 @@ def test_a_part_without_counterpart_is_found() -> None:
     squeezed = np.where(quarter[:, None], x[np.argmin(np.abs(angle))] + 0.01 * (x - x[0]), x) * point_map.source.scale
     wrapped = wrap(target, PointMap(point_map.target, SurfacePoints.nearest(point_map.source, squeezed)))
     assert 0.1 < wrapped.left_out < 0.3
-    assert wrapped.followed.mean < 5e-3
+    assert wrapped.distance[wrapped.has_counterpart].mean() < 5e-3
 
 
 def pitted(lid: bool) -> tuple[PointMap, np.ndarray]:
@@ -352,7 +359,7 @@ def test_a_fit_that_went_astray_is_tried_with_more_pull_of_the_map(
     once = wrap(target, point_map, WrapConfig(anchor=0.02))
     twice = wrap(target, point_map, WrapConfig(anchor=0.02, max_distance=0.0))
     np.testing.assert_allclose(tried, [0.02, 0.02, 0.06])
-    assert twice.residual.mean <= once.residual.mean
+    assert twice.distance.mean() <= once.distance.mean()
 
 
 @pytest.mark.slow

@@ -228,7 +228,7 @@ def _unsmoothed(surface: Surface) -> TriangleSurface:
     refinement, control = surface.refinement, surface.control
     if refinement.is_plain:
         return _finest(surface)
-    linear = interpolate_linearly(
+    matrix, corners = interpolate_linearly(
         control, control.face_indices, control.n_vertices, refinement.finest_level, refinement.scheme
     )
-    return TriangleSurface(surface.scale * (linear.matrix @ control.positions), linear.corners, surface.scale)
+    return TriangleSurface(surface.scale * (matrix @ control.positions), corners, surface.scale)

@@ -13,20 +13,20 @@ from unicodedata import normalize
 import numpy as np
 
 from cagemap.errors import DirectionError, InvalidLandmarksError
-from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.curves import (
+from cagemap.mesh.cage_points import (
     CageCurvePairs,
+    CagePoints,
+    NamedPoints,
+    Renumbering,
     curve_faults,
     find_repeats,
+    on_cage,
     outside_fault,
     paired_curves,
     repeated_fault,
     shared_names,
 )
-from cagemap.mesh.curves import CagePoints as CagePoints
-from cagemap.mesh.curves import NamedPoints as NamedPoints
-from cagemap.mesh.curves import Renumbering as Renumbering
-from cagemap.mesh.curves import on_cage as on_cage
+from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few, list_problems
 from cagemap.numerics.arrays import IndexArray, whole_numbers
 

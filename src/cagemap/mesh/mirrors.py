@@ -29,10 +29,6 @@ class Mirror:
     offset: float
     exact: bool  #: whether the image is a symmetry of the mesh, see `is_symmetry`
 
-    def reflect(self, points: FloatArray) -> FloatArray:
-        """Mirror images of points, (q, 3)."""
-        return _reflect(points, self.normal, self.offset)
-
 
 def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
     """Find the mirror planes of a control mesh, exact ones first.
@@ -55,10 +51,10 @@ def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
         normal, offset = settled
         if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in mirrors):
             continue
-        sampled, _ = _query(tree, _reflect(sample, normal, offset))
+        sampled, _ = _query(tree, reflect(sample, normal, offset))
         if np.mean(sampled <= MOST_WITHIN * diagonal) < MIN_SAMPLE_SHARE:
             continue
-        distances, image = _query(tree, _reflect(positions, normal, offset))
+        distances, image = _query(tree, reflect(positions, normal, offset))
         numbers = np.arange(len(positions))
         near = np.mean(distances <= MOST_WITHIN * diagonal) >= MIN_SHARE and distances.max() <= ALL_WITHIN * diagonal
         # Reject the plane of a flat mesh: it maps every vertex to itself.
@@ -73,7 +69,7 @@ def _settled_plane(
     """Fit a plane to vertices and their nearest mirror images, repeatedly; None if it does not converge."""
     before = np.inf
     for _ in range(STEPS):
-        distances, nearest = _query(tree, _reflect(sample, normal, offset))
+        distances, nearest = _query(tree, reflect(sample, normal, offset))
         median = float(np.median(distances))
         if median > 0.1 * diagonal or median > max(MAX_RATIO * before, NEAR_TOLERANCES * MOST_WITHIN * diagonal):
             return None
@@ -91,7 +87,8 @@ def _settled_plane(
     return normal, offset
 
 
-def _reflect(points: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
+def reflect(points: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
+    """(q, 3) mirror images of points at the plane ``normal @ x == offset``."""
     return points - 2.0 * np.outer(points @ normal - offset, normal)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.mesh.control_mesh import NO_UV, ControlMesh, UvSet
 from cagemap.mesh.faces import face_areas, keep_faces
-from cagemap.mesh.topology import face_components, face_pieces
+from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal, members_of, offsets_of, places_of
 
 PART_KINDS = ("object", "group", "material", "component")
@@ -98,24 +98,10 @@ def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
-def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
-    """Split a part into numbered connected parts; a connected part keeps its name."""
-    pieces = [part.faces[piece] for piece in members_of(face_components(keep_faces(mesh, part.faces)))]
-    names = [part.name] if len(pieces) == 1 else [f"{part.name} {number}" for number in range(len(pieces))]
-    return tuple(Part(part.kind, name, faces) for name, faces in zip(names, pieces, strict=True))
-
-
 def passenger_word(name: str) -> str:
     """The word for clothes, hair, eyes or equipment in a part's name, one for all of a kind; '' without one."""
     found = (word for word, pattern in _PASSENGER_WORDS.items() if re.search(pattern, name, re.IGNORECASE))
     return next(found, "")
-
-
-def passenger_name(mesh: ControlMesh, faces: IndexArray) -> str:
-    """The first name with a `passenger_word` of the faces' materials, groups and objects; '' without one."""
-    partitions = [(numbers[faces], names) for _, numbers, names in mesh.partitions[::-1] if numbers is not None]
-    stated = (names[number] for numbers, names in partitions for number in np.unique(numbers[numbers >= 0]))
-    return next(filter(passenger_word, stated), "")
 
 
 def largest_part(mesh: ControlMesh) -> Part:
@@ -249,15 +235,6 @@ def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
         welded, copies = part.file_copies[part.file_copies[:, 1] < len(number)].T
         number[copies] = welded
     return number[file_numbers]
-
-
-def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
-    """The parts that are connected; parts must not overlap."""
-    of_corner = part_of_corners(mesh, parts) + 1
-    # One node for every pair of a vertex and a part around it.
-    nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_corner, return_inverse=True)
-    labels = face_pieces(mesh, corners, len(nodes))
-    return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
 
 def part_of_corners(mesh: ControlMesh, parts: Sequence[Part]) -> IndexArray:

@@ -4,8 +4,6 @@ Rules and options are those of OpenSubdiv (``Sdc::Options``), used by USD, Blend
 
 .. [CC78] E. Catmull, J. Clark. Recursively generated B-spline surfaces on arbitrary topological meshes. 1978.
 .. [Loop87] C. Loop. Smooth subdivision surfaces based on triangles. Master's thesis, University of Utah, 1987.
-.. [HKD93] M. Halstead, M. Kass, T. DeRose. Efficient, fair interpolation using Catmull-Clark surfaces. 1993.
-.. [HDD94] H. Hoppe et al. Piecewise smooth surface reconstruction. 1994.
 """
 
 from __future__ import annotations
@@ -26,9 +24,8 @@ Creasing = Literal["uniform", "chaikin"]
 TriangleRule = Literal["catmull_clark", "smooth"]
 
 INFINITE_SHARPNESS = 10.0  # from here creases and corners are infinitely sharp; Blender's crease c is 10 c^2
-# Crease curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
+# Crease curves are uniform cubic B-splines in both schemes: weights of the vertex and of each neighbour on the curve.
 CREASE_VERTEX = (3 / 4, 1 / 8)
-CREASE_LIMIT = (2 / 3, 1 / 6)
 SMOOTH_TRIANGLE = 0.47  # weight of a triangle's new face point in the edge points around it under the "smooth" rule
 
 # Values of each option, and the text that an error message adds.
@@ -62,21 +59,6 @@ class SubdivisionOptions:
                 raise ParameterError(f"{name}: expected one of {', '.join(choices)}, got {value!r}; {remedy}")
 
 
-def _half_ring_sines(valence: int) -> FloatArray:
-    sines = np.sin(np.pi * np.arange(valence + 1) / valence)
-    sines[-1] = 0.0
-    return sines
-
-
-def _boundary_part(value: float, fed_centre: float, fed_end: float) -> tuple[float, float]:
-    """Weights of a vertex and its boundary neighbours in a symmetric left eigenvector; ``fed``: inner ring's terms."""
-    # value centre = 3/4 centre + 2/2 end + fed_centre; value end = 1/8 centre + 1/2 end + fed_end
-    determinant = (value - 1) * (value - 1 / 4)
-    centre = ((value - 1 / 2) * fed_centre + fed_end) / determinant
-    end = (fed_centre / 8 + (value - 3 / 4) * fed_end) / determinant
-    return float(centre), float(end)
-
-
 class CatmullClark(SubdivisionOptions):
     """Catmull-Clark subdivision of polygon meshes [CC78]_."""
 
@@ -102,49 +84,6 @@ class CatmullClark(SubdivisionOptions):
         """The same rule among quads: weights of each end and of each of the four other vertices."""
         return 3 / 8, 1 / 16
 
-    @staticmethod
-    def limit_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Limit ``(n^2 v + 4 sum e_i + sum f_i) / (n (n + 5))`` [HKD93]_: weights of vertex, neighbour, opposite."""
-        n = np.asarray(valence, dtype=np.float64)
-        return n / (n + 5), 4 / (n * (n + 5)), 1 / (n * (n + 5))
-
-    @staticmethod
-    def tangent_weights(valence: Integers, rank: Integers) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Limit tangents among quads [HKD93]_, for the neighbour and the opposite vertex number ``rank`` of the ring.
-
-        Returns the weights ``(neighbour, opposite)`` of the first tangent, then of the second, rotated by 90 degrees.
-        """
-        theta = 2 * np.pi / valence
-        a = 1 + np.cos(theta) + np.cos(theta / 2) * np.sqrt(2 * (9 + np.cos(theta)))
-        angle, next_angle = theta * rank, theta * (rank + 1)
-        return (
-            a * np.cos(angle),
-            np.cos(angle) + np.cos(next_angle),
-            a * np.sin(angle),
-            np.sin(angle) + np.sin(next_angle),
-        )
-
-    @staticmethod
-    def inward_tangent(valence: int) -> tuple[float, FloatArray, FloatArray]:
-        """Limit tangent pointing into the surface at a boundary vertex with ``valence`` >= 2 quads.
-
-        The left eigenvector of the local subdivision matrix that is a sine around the inner ring: with
-        ``t = pi/valence``, inner neighbour i has weight ``(16 lambda - 4) sin(i t)`` and opposite vertex i
-        ``sin(i t) + sin((i + 1) t)``, where ``16 lambda = 5 + cos t + sqrt((cos t + 1) (cos t + 9))``. Returns the
-        weights of the vertex, of its neighbours (valence + 1,), counter-clockwise, the first and the last on the
-        boundary, and of the opposite vertices (valence,).
-        """
-        cosine = np.cos(np.pi / valence)
-        value = (5 + cosine + np.sqrt((cosine + 1) * (cosine + 9))) / 16
-        sines = _half_ring_sines(valence)
-        opposites = sines[:-1] + sines[1:]
-        neighbours = (16 * value - 4) * sines
-        fed_centre = 3 / 8 * neighbours.sum() + 1 / 4 * opposites.sum()
-        fed_end = 1 / 16 * neighbours[1] + 1 / 4 * opposites[0]
-        centre, end = _boundary_part(value, fed_centre, fed_end)
-        neighbours[[0, -1]] = end
-        return centre, neighbours, opposites
-
 
 class Loop(SubdivisionOptions):
     """Loop subdivision of triangle meshes [Loop87]_, with Loop's own cosine weight (OpenSubdiv's; not 3/(8n))."""
@@ -160,32 +99,6 @@ class Loop(SubdivisionOptions):
     def edge_weights() -> tuple[float, float]:
         """Smooth edge rule: weights of each end and of each of the two vertices across."""
         return 3 / 8, 1 / 8
-
-    @classmethod
-    def limit_weights(cls, valence: Integers) -> tuple[FloatArray, FloatArray]:
-        """Limit position [HDD94]_: weights of the vertex and of each neighbour, ``1 / (n + 3/(8 b))`` each."""
-        n = np.asarray(valence, dtype=np.float64)
-        each = 1 / (n + 3 / (8 * cls.vertex_weights(valence)[1]))
-        return 1 - n * each, each
-
-    @staticmethod
-    def tangent_weights(valence: Integers, rank: Integers) -> tuple[FloatArray, FloatArray]:
-        """Limit tangents [HDD94]_: weights of neighbour number ``rank`` in the first and the second tangent."""
-        angle = 2 * np.pi * rank / valence
-        return np.cos(angle), np.sin(angle)
-
-    @staticmethod
-    def inward_tangent(valence: int) -> tuple[float, FloatArray, FloatArray]:
-        """Limit tangent pointing into the surface at a boundary vertex with ``valence`` >= 2 triangles.
-
-        As `CatmullClark.inward_tangent`, with weights ``sin(i pi/valence)`` and
-        ``lambda = 3/8 + cos(pi/valence)/4``; there are no opposite vertices.
-        """
-        value = 3 / 8 + np.cos(np.pi / valence) / 4
-        neighbours = _half_ring_sines(valence)
-        centre, end = _boundary_part(value, 3 / 8 * neighbours.sum(), 1 / 8 * neighbours[1])
-        neighbours[[0, -1]] = end
-        return centre, neighbours, np.zeros(0)
 
 
 class Bilinear(SubdivisionOptions):

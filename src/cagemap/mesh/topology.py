@@ -109,31 +109,33 @@ class Topology:
         return ranks
 
 
-def topology_of(
-    vertices: IndexArray | IntArray, n_vertices: int, faces: IntArray, following: IntArray, previous: IntArray
-) -> Topology:
-    """Topology of faces; edges ascend by their vertices and have their first corner's direction."""
-    tails = vertices.astype(np.int64)
-    heads = tails[following]
-    keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
-    _, first, edges = np.unique(keys, return_index=True, return_inverse=True)
-    forward = tails == tails[first][edges]
-    numbers = tails.astype(np.int32), edges.astype(np.int32)
-    n_faces = int(faces.max(initial=-1)) + 1
-    return Topology(n_vertices, len(first), n_faces, *numbers, forward, faces, following, previous)
-
-
 def mesh_topology(mesh: ControlMesh) -> Topology:
     """Topology of a mesh, which need not be manifold."""
     return layout_topology(mesh, mesh.face_indices, mesh.n_vertices)
 
 
 def layout_topology(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> Topology:
-    """Topology of the control mesh's faces on the vertex numbers ``indices`` (c,), such as those of UVs."""
+    """Topology of the control mesh's faces on the vertex numbers ``indices`` (c,), such as those of UVs.
+
+    Edges ascend by their vertices and have their first corner's direction.
+    """
     following = mesh.next_corners
     previous = places_of(following, len(following))
-    faces = mesh.corner_faces.astype(np.int32)
-    return topology_of(indices, n_vertices, faces, following.astype(np.int32), previous.astype(np.int32))
+    tails = indices.astype(np.int64)
+    heads = tails[following]
+    keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
+    _, first, edges = np.unique(keys, return_index=True, return_inverse=True)
+    return Topology(
+        n_vertices=n_vertices,
+        n_edges=len(first),
+        n_faces=mesh.n_faces,
+        vertices=tails.astype(np.int32),
+        edges=edges.astype(np.int32),
+        forward=tails == tails[first][edges],
+        faces=mesh.corner_faces.astype(np.int32),
+        following=following.astype(np.int32),
+        previous=previous.astype(np.int32),
+    )
 
 
 def adjacent_corners(topology: Topology) -> tuple[IndexArray, IndexArray]:

@@ -30,6 +30,20 @@ from cagemap.surface.triangles import mesh_arrays
 # cotangents, which stay finite; it only reduces their energy, so that W stays positive semi-definite.
 SLIVER = 1e-5
 
+# Corner pairs that are edges of a face's triangulations: sides, then both diagonals of a quad.
+TRIANGLE_PAIRS = ((1, 2), (2, 0), (0, 1))
+QUAD_PAIRS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
+# For every triangle of a face's triangulations: its corners a, b, c, and the columns of the pairs bc, ca, ab.
+TRIANGLE_TABLE = np.array([[0, 1, 2, 0, 1, 2]])
+QUAD_TABLE = np.array([[0, 1, 2, 1, 4, 0], [0, 2, 3, 2, 3, 4], [0, 1, 3, 5, 3, 0], [1, 2, 3, 2, 5, 1]])
+
+# A Laplacian: from positions (n, 3) and faces (m, 4) or (m, 3) to weights of the edges and diagonals of each face, and
+# vertex areas (n,).
+Laplacian = Callable[[FloatArray, IndexArray], tuple[FloatArray, FloatArray]]
+# Inner products M_f (m, k, k) of 1-forms on polygons, from edges and centred midpoints (m, k, 3), areas (m,), unit
+# normals (m, 3), and the weight lambda of functions without gradient in the polygon's plane.
+InnerProducts = Callable[[FloatArray, FloatArray, FloatArray, FloatArray, float], FloatArray]
+
 
 def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
     """Integrated cotangent Laplacian W (n, n); on quads (m, 4) the mean over both triangulations.
@@ -49,25 +63,6 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
     return face_terms(*mesh_arrays(positions, faces))[1]
 
 
-def assemble_stiffness(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
-    """Stiffness matrix (n, n) from the weights of every face's corner pairs (`face_terms`)."""
-    size = faces.shape[1]
-    pairs = QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS
-    rows, columns = (faces[:, side].ravel().astype(np.int32) for side in np.transpose(pairs))
-    of_corner = [[k for j in range(size) for k, pair in enumerate(pairs) if {i, j} == {*pair}] for i in range(size)]
-    diagonal = np.bincount(np.repeat(faces.ravel(), size - 1), weights[:, of_corner].ravel(), minlength=n)
-    every = np.arange(n, dtype=np.int32)
-    # Summed by entries, as sums of matrices drop entries of 0: graphs take their edges from this pattern.
-    values = np.concatenate([-weights.ravel(), -weights.ravel(), diagonal])
-    places = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])
-    return sparse.csr_array(sparse.coo_array((values, places), shape=(n, n)))
-
-
-# Corner pairs that are edges of a face's triangulations: sides, then both diagonals of a quad.
-TRIANGLE_PAIRS = ((1, 2), (2, 0), (0, 1))
-QUAD_PAIRS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
-
-
 def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
     """Half cotangent sums of every face's corner pairs, (m, 6) or (m, 3), and `vertex_areas`.
 
@@ -79,11 +74,6 @@ def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, Fl
     contiguous = read_only(np.ascontiguousarray(positions, dtype=np.float64)), read_only(np.ascontiguousarray(faces))
     _face_terms(*contiguous, table, share, weights, areas)
     return weights, areas
-
-
-# For every triangle of a face's triangulations: its corners a, b, c, and the columns of the pairs bc, ca, ab.
-TRIANGLE_TABLE = np.array([[0, 1, 2, 0, 1, 2]])
-QUAD_TABLE = np.array([[0, 1, 2, 1, 4, 0], [0, 2, 3, 2, 3, 4], [0, 1, 3, 5, 3, 0], [1, 2, 3, 2, 5, 1]])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -115,12 +105,95 @@ def _face_terms(positions, faces, table, share, weights, areas):  # type: ignore
                 weights[m, table[t, 5]] += half * (vv - uv)
 
 
-# A Laplacian: from positions (n, 3) and faces (m, 4) or (m, 3) to weights of the edges and diagonals of each face, and
-# vertex areas (n,).
-Laplacian = Callable[[FloatArray, IndexArray], tuple[FloatArray, FloatArray]]
-# Inner products M_f (m, k, k) of 1-forms on polygons, from edges and centred midpoints (m, k, 3), areas (m,), unit
-# normals (m, 3), and the weight lambda of functions without gradient in the polygon's plane.
-InnerProducts = Callable[[FloatArray, FloatArray, FloatArray, FloatArray, float], FloatArray]
+@dataclass(frozen=True, eq=False)
+class Operators:
+    """Mass and stiffness matrices of every level of a refinement, at unit surface area."""
+
+    #: (n_l, n_l) M^l, symmetric positive definite; all entries sum to 1. Diagonal at the finest level only.
+    #: `build_operators` makes the values read-only: change a ``copy()``.
+    mass: tuple[sparse.csr_array, ...]
+    stiffness: tuple[sparse.csr_array, ...]  #: (n_l, n_l) W^l, symmetric positive semi-definite, W^l 1 = 0; read-only
+    scale: float  #: factor from the mesh's lengths to lengths at unit area
+
+    def __repr__(self) -> str:
+        return f"Operators({', '.join(str(mass.shape[0]) for mass in self.mass)} vertices, scale {self.scale:.6g})"
+
+    @property
+    def finest_level(self) -> int:
+        """Number of the finest level."""
+        return len(self.mass) - 1
+
+    def areas(self, level: int) -> FloatArray:
+        """(n_l,) vertex areas of a level: the row sums M^l 1 of its mass matrix."""
+        return lumped_areas(self.mass[level])
+
+
+@kinds_checked
+def build_operators(refinement: Refinement, laplacian: Laplacian = face_terms) -> Operators:
+    """Operators of every level of a refinement, at unit area of the finest level (2.2.2, Lemma 5).
+
+    The ``laplacian`` of the finest level is `face_terms` or another of `named_laplacian`. O(n_f) time and memory.
+    Restricted matrices have about 25 nonzeros per row just below the finest level, 50 on coarser levels. ParameterError
+    if ``laplacian`` is no function.
+    """
+    if not callable(laplacian):
+        raise ParameterError(f"laplacian: expected one of `named_laplacian`, got {laplacian!r}")
+    finest = refinement.levels[-1]
+    faces = refinement.faces(refinement.finest_level)
+    weights, areas = laplacian(finest.positions, faces)
+    area = float(areas.sum())
+    # One complex matrix W + i M: one product restricts both, and they keep the same pattern.
+    both = sparse.csr_array(
+        assemble_stiffness(weights, faces, len(finest.positions)) + sparse.diags_array(1j * areas / area)
+    )
+    masses, stiffnesses = [sparse.csr_array(sparse.diags_array(areas / area))], [_with_values(both, both.data.real)]
+    for subdivision in reversed(refinement.matrices):
+        both = sparse.csr_array(subdivision.T @ (both @ subdivision))
+        both.sort_indices()
+        masses.append(_with_values(both, both.data.imag))
+        stiffnesses.append(_with_values(both, both.data.real))
+    for matrix in (*masses, *stiffnesses):
+        matrix.data.flags.writeable = False
+    return Operators(tuple(reversed(masses)), tuple(reversed(stiffnesses)), 1.0 / float(np.sqrt(area)))
+
+
+def assemble_stiffness(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
+    """Stiffness matrix (n, n) from the weights of every face's corner pairs (`face_terms`)."""
+    size = faces.shape[1]
+    pairs = QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS
+    rows, columns = (faces[:, side].ravel().astype(np.int32) for side in np.transpose(pairs))
+    of_corner = [[k for j in range(size) for k, pair in enumerate(pairs) if {i, j} == {*pair}] for i in range(size)]
+    diagonal = np.bincount(np.repeat(faces.ravel(), size - 1), weights[:, of_corner].ravel(), minlength=n)
+    every = np.arange(n, dtype=np.int32)
+    # Summed by entries, as sums of matrices drop entries of 0: graphs take their edges from this pattern.
+    values = np.concatenate([-weights.ravel(), -weights.ravel(), diagonal])
+    places = np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])
+    return sparse.csr_array(sparse.coo_array((values, places), shape=(n, n)))
+
+
+def _with_values(matrix: sparse.csr_array, values: FloatArray) -> sparse.csr_array:
+    """A matrix with the same pattern and other values."""
+    arrays = np.ascontiguousarray(values), matrix.indices, matrix.indptr
+    return sparse.csr_array(arrays, shape=matrix.shape)
+
+
+def lumped_areas(mass: sparse.csr_array) -> FloatArray:
+    """(n,) vertex areas: the row sums M 1 of a mass matrix."""
+    return np.asarray(mass.sum(axis=1), dtype=np.float64).ravel()
+
+
+def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
+    """The Laplacian of a name in `LAPLACIANS`; ParameterError for other names.
+
+    "mean": of the cotangent Laplacians of both triangulations of every quad. The others are stabilised: without a
+    ``stabilisation`` above 0, functions such as +1 and -1 in turn over a quad's corners cost nothing.
+    """
+    if name not in LAPLACIANS:
+        raise ParameterError(f"laplacian: expected one of {', '.join(LAPLACIANS)}, got {name!r}")
+    if not 0.0 < stabilisation < np.inf:
+        raise ParameterError(f"stabilisation: expected a finite number above 0, got {stabilisation}; 1 is usual")
+    inner_products = LAPLACIANS[name]
+    return face_terms if inner_products is None else partial(stabilised_terms, inner_products, stabilisation)
 
 
 def stabilised_terms(
@@ -184,80 +257,3 @@ LAPLACIANS: dict[str, InnerProducts | None] = {
     "alexa-wardetzky": alexa_wardetzky,
     "de-goes-butts-desbrun": de_goes_butts_desbrun,
 }
-
-
-def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
-    """The Laplacian of a name in `LAPLACIANS`; ParameterError for other names.
-
-    "mean": of the cotangent Laplacians of both triangulations of every quad. The others are stabilised: without a
-    ``stabilisation`` above 0, functions such as +1 and -1 in turn over a quad's corners cost nothing.
-    """
-    if name not in LAPLACIANS:
-        raise ParameterError(f"laplacian: expected one of {', '.join(LAPLACIANS)}, got {name!r}")
-    if not 0.0 < stabilisation < np.inf:
-        raise ParameterError(f"stabilisation: expected a finite number above 0, got {stabilisation}; 1 is usual")
-    inner_products = LAPLACIANS[name]
-    return face_terms if inner_products is None else partial(stabilised_terms, inner_products, stabilisation)
-
-
-@dataclass(frozen=True, eq=False)
-class Operators:
-    """Mass and stiffness matrices of every level of a refinement, at unit surface area."""
-
-    #: (n_l, n_l) M^l, symmetric positive definite; all entries sum to 1. Diagonal at the finest level only.
-    #: `build_operators` makes the values read-only: change a ``copy()``.
-    mass: tuple[sparse.csr_array, ...]
-    stiffness: tuple[sparse.csr_array, ...]  #: (n_l, n_l) W^l, symmetric positive semi-definite, W^l 1 = 0; read-only
-    scale: float  #: factor from the mesh's lengths to lengths at unit area
-
-    def __repr__(self) -> str:
-        return f"Operators({', '.join(str(mass.shape[0]) for mass in self.mass)} vertices, scale {self.scale:.6g})"
-
-    @property
-    def finest_level(self) -> int:
-        """Number of the finest level."""
-        return len(self.mass) - 1
-
-    def areas(self, level: int) -> FloatArray:
-        """(n_l,) vertex areas of a level: the row sums M^l 1 of its mass matrix."""
-        return lumped_areas(self.mass[level])
-
-
-def lumped_areas(mass: sparse.csr_array) -> FloatArray:
-    """(n,) vertex areas: the row sums M 1 of a mass matrix."""
-    return np.asarray(mass.sum(axis=1), dtype=np.float64).ravel()
-
-
-@kinds_checked
-def build_operators(refinement: Refinement, laplacian: Laplacian = face_terms) -> Operators:
-    """Operators of every level of a refinement, at unit area of the finest level (2.2.2, Lemma 5).
-
-    The ``laplacian`` of the finest level is `face_terms` or another of `named_laplacian`. O(n_f) time and memory.
-    Restricted matrices have about 25 nonzeros per row just below the finest level, 50 on coarser levels. ParameterError
-    if ``laplacian`` is no function.
-    """
-    if not callable(laplacian):
-        raise ParameterError(f"laplacian: expected one of `named_laplacian`, got {laplacian!r}")
-    finest = refinement.levels[-1]
-    faces = refinement.faces(refinement.finest_level)
-    weights, areas = laplacian(finest.positions, faces)
-    area = float(areas.sum())
-    # One complex matrix W + i M: one product restricts both, and they keep the same pattern.
-    both = sparse.csr_array(
-        assemble_stiffness(weights, faces, len(finest.positions)) + sparse.diags_array(1j * areas / area)
-    )
-    masses, stiffnesses = [sparse.csr_array(sparse.diags_array(areas / area))], [_with_values(both, both.data.real)]
-    for subdivision in reversed(refinement.matrices):
-        both = sparse.csr_array(subdivision.T @ (both @ subdivision))
-        both.sort_indices()
-        masses.append(_with_values(both, both.data.imag))
-        stiffnesses.append(_with_values(both, both.data.real))
-    for matrix in (*masses, *stiffnesses):
-        matrix.data.flags.writeable = False
-    return Operators(tuple(reversed(masses)), tuple(reversed(stiffnesses)), 1.0 / float(np.sqrt(area)))
-
-
-def _with_values(matrix: sparse.csr_array, values: FloatArray) -> sparse.csr_array:
-    """A matrix with the same pattern and other values."""
-    arrays = np.ascontiguousarray(values), matrix.indices, matrix.indptr
-    return sparse.csr_array(arrays, shape=matrix.shape)

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
-from cagemap.paper.descriptors import SPACING, Constraints, MapWeights, SpectralData
+from cagemap.paper.constraints import SPACING, ConstraintConfig, Constraints, SpectralData
 
 Mask = NDArray[np.bool_]
 
@@ -20,7 +20,7 @@ MOST_ITERATIONS = 5000
 
 
 def solve_functional_map(
-    constraints: Constraints, weights: MapWeights, *, known: FloatArray | None = None
+    constraints: Constraints, config: ConstraintConfig, *, known: FloatArray | None = None
 ) -> FloatArray:
     """C12 (k1, k2) minimising ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
 
@@ -35,16 +35,16 @@ def solve_functional_map(
         raise ParameterError(f"expected a known block within {(k1, k2)} functions, got {(low1, low2)}")
     gram = source.descriptors @ source.descriptors.T
     right = target.descriptors @ source.descriptors.T
-    diagonal = laplacian_penalties(target.eigenvalues, source.eigenvalues, weights.laplacian)
+    diagonal = laplacian_penalties(target.eigenvalues, source.eigenvalues, config.laplacian)
     # Keeps the systems definite where neither descriptors nor operators determine C.
-    diagonal += 1e-10 * np.trace(gram) / max(k2, 1) + np.finfo(float).tiny + weights.decay
-    pairs = [] if weights.operators == 0.0 else list(zip(target.operators, source.operators, strict=True))
+    diagonal += 1e-10 * np.trace(gram) / max(k2, 1) + np.finfo(float).tiny + config.decay
+    pairs = [] if config.operators == 0.0 else list(zip(target.operators, source.operators, strict=True))
 
     def normal_equations(c: FloatArray) -> FloatArray:
         result = c @ gram + diagonal * c
         for o1, o2 in pairs:
             commutator = c @ o2 - o1 @ c
-            result += weights.operators * (commutator @ o2.T - o1.T @ commutator)
+            result += config.operators * (commutator @ o2.T - o1.T @ commutator)
         return np.asarray(result)
 
     start = np.zeros((k1, k2))
@@ -63,7 +63,7 @@ def solve_functional_map(
     return start
 
 
-def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights: MapWeights) -> FloatArray:
+def extend_functional_map(coarse: FloatArray, constraints: Constraints, config: ConstraintConfig) -> FloatArray:
     """Extend C_l (k1_l, k2_l) by the bands of the next level, eq. 14: [[C_l, C_lh], [C_hl, C_h]], (k1, k2).
 
     C_l is kept. Tridiagonal operators are cut to their diagonal blocks (eq. 15): low rows then determine C_lh alone
@@ -71,7 +71,7 @@ def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights:
     """
     low1, low2 = coarse.shape
     split = Constraints(split_operators(constraints.target, low1), split_operators(constraints.source, low2))
-    return solve_functional_map(split, weights, known=coarse)
+    return solve_functional_map(split, config, known=coarse)
 
 
 def split_operators(data: SpectralData, low: int) -> SpectralData:

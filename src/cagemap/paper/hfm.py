@@ -22,8 +22,8 @@ from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import facing_points
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.kinds import Config, kinds_checked
-from cagemap.paper.descriptors import Constraints, DescriptorConfig, MapWeights, gather_constraints
+from cagemap.numerics.kinds import kinds_checked
+from cagemap.paper.constraints import ConstraintConfig, Constraints, gather_constraints
 from cagemap.paper.embeddings import functions_at, spectral_rows
 from cagemap.paper.equations import solve_functional_map
 from cagemap.paper.method import FEWEST_FUNCTIONS, finer_level_pairs, search_levels
@@ -34,14 +34,13 @@ from cagemap.surface.triangles import vertex_normals
 
 ZOOMOUT_SAMPLES = 3000  # number of vertices of each surface in ZoomOut
 FACING_WEIGHTS = (0.03, 0.1)  # weights of normals: first search; where the sides of a thin part differ
+Displacement = tuple[FloatArray, FloatArray]  # of x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3)
 
 
 @dataclass(frozen=True, repr=False)
-class HfmConfig(Config):
+class HfmConfig(ConstraintConfig):
     """Parameters of `hfm`; the defaults were found by measurement."""
 
-    descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()  #: weights of eq. 13
     zoomout: ZoomOutSchedule = ZoomOutSchedule()  #: eq. 13 is solved for the first number of functions
     position_weight: float = 10.0  #: weight of displaced positions relative to basis functions, times sqrt(k)
     normal_weight: float = 1.0  #: weight of the displaced normals, times sqrt(k)
@@ -53,9 +52,6 @@ class HfmConfig(Config):
         super().__post_init__()
         if self.zoomout.first < FEWEST_FUNCTIONS:
             raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} first functions, got {self.zoomout.first}")
-
-
-Displacement = tuple[FloatArray, FloatArray]  # of x to x R + Phi~1 tau: rotation R (3, 3), coefficients tau (k, 3)
 
 
 @kinds_checked
@@ -81,8 +77,8 @@ def hfm_map(
         )
     first = min(config.zoomout.first, most)
     if start is None:
-        constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
-        functional_map = solve_functional_map(constraints.leading(first, first), config.weights)
+        constraints = gather_constraints(pair, config) if constraints is None else constraints
+        functional_map = solve_functional_map(constraints.leading(first, first), config)
     else:
         functional_map = functional_map_from(pair, start, (first, first))
     functional_map, displacement = zoomout_all_bands(pair, levels, functional_map, config)

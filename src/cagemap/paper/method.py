@@ -1,4 +1,4 @@
-"""The paper's method, level by level (section 5), without additions from later papers but `MapWeights.decay`."""
+"""The paper's method, level by level (section 5), without additions from later papers but `ConstraintConfig.decay`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from cagemap.maps.functional_maps import LevelMap, MapLike, functional_map_from
 from cagemap.maps.pair import LevelPair, Pair, Progress, no_progress
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.kinds import Config, kinds_checked
-from cagemap.paper.descriptors import Constraints, DescriptorConfig, MapWeights, gather_constraints
+from cagemap.numerics.kinds import kinds_checked
+from cagemap.paper.constraints import ConstraintConfig, Constraints, gather_constraints
 from cagemap.paper.embeddings import (
     Rows,
     nearest_candidates,
@@ -33,11 +33,9 @@ SAMPLE_VERTICES = 30_000  # most vertices used to refit C; of larger levels so m
 
 
 @dataclass(frozen=True, repr=False)
-class PaperConfig(Config):
+class PaperConfig(ConstraintConfig):
     """Parameters of the paper's method. Our copy of the paper lacks section 6, which gives their values."""
 
-    descriptors: DescriptorConfig = DescriptorConfig()
-    weights: MapWeights = MapWeights()  #: alpha(O), the same on all levels
     rounds: int = 2  #: alternations of P and C on every level (2.1.4); 0: keep C of eqs. 13-16
     orthonormal: bool = False  #: make C orthonormal in every round (2.1.4), though P is no permutation here
 
@@ -58,13 +56,13 @@ def paper_map(
     ParameterError if level 0 has too few functions, or the start is no map.
     """
     progress("functional map, level 0")
-    constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
+    constraints = gather_constraints(pair, config) if constraints is None else constraints
     maps = [_alternate(pair, (0, 0), _first_map(pair, constraints, config, start), config, None)]
     for levels in finer_level_pairs(pair, (0, 0)):
         progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
         functional_map, sizes = maps[-1].functional_map, basis_sizes(pair, levels)
         if sizes != functional_map.shape:  # eqs. 14-16 (5.3.2)
-            functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
+            functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config)
         maps.append(_alternate(pair, levels, functional_map, config, maps[-1]))
     progress("point map")
     maps = [replace(level_map, points=recover_points(pair, level_map)) for level_map in maps]
@@ -82,9 +80,9 @@ def _first_map(pair: Pair, constraints: Constraints, config: PaperConfig, start:
         )
     wanted = constraints.leading(*sizes)
     if start is None:
-        return solve_functional_map(wanted, config.weights)
+        return solve_functional_map(wanted, config)
     given = functional_map_from(pair, start, sizes)[: sizes[0], : sizes[1]]
-    return given if given.shape == sizes else extend_functional_map(given, wanted, config.weights)
+    return given if given.shape == sizes else extend_functional_map(given, wanted, config)
 
 
 def _alternate(

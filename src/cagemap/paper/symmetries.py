@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair, SymmetryPair
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.mirrors import Mirror, mirror_symmetries
+from cagemap.mesh.mirrors import Mirror, mirror_symmetries, reflect
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 from cagemap.spectral.basis import HierarchicalBasis
@@ -18,6 +18,7 @@ from cagemap.subdivision import Refinement
 SAME_ROW = 1e-9  # rows of S^l are equal if their products with random functions differ by less than this
 UNKNOWN = -1
 OPERATOR_COLUMNS = 32  # number of basis functions to which an operator is applied at once: 256 MB at a million vertices
+AGREEMENT = 0.5  # least share of landmarks that two paired mirror planes map to the same landmarks
 
 
 def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
@@ -81,9 +82,6 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
     return np.triu(np.tril(np.hstack(columns), 1), -1)
 
 
-AGREEMENT = 0.5  # least share of landmarks that two paired mirror planes map to the same landmarks
-
-
 def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
     """Pairs of mirror planes of both control meshes that agree with the landmarks.
 
@@ -114,5 +112,5 @@ def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
 
 def _partners(mirror: Mirror, places: FloatArray) -> IndexArray:
     """(p,) landmark nearest to every landmark's mirror image."""
-    squared = np.sum((mirror.reflect(places)[:, None] - places[None, :]) ** 2, axis=2)
+    squared = np.sum((reflect(places, mirror.normal, mirror.offset)[:, None] - places[None, :]) ** 2, axis=2)
     return np.asarray(np.argmin(squared, axis=1)) if len(places) else np.zeros(0, dtype=np.int64)

@@ -12,8 +12,8 @@ from scipy import linalg, sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, finite_numbers, read_only, whole_numbers
-from cagemap.numerics.factorization import multiply
 from cagemap.numerics.kinds import Config, kinds_checked
+from cagemap.numerics.sparse import multiply
 from cagemap.numerics.threads import ROW_BLOCK, row_slices
 from cagemap.operators import Operators, lumped_areas
 from cagemap.operators.laplacian import named_laplacian
@@ -21,6 +21,14 @@ from cagemap.spectral.eigenpairs import SOLVER, band_pairs, count_below, residua
 from cagemap.subdivision import Refinement
 
 _log = logging.getLogger(__name__)
+
+# Least vertices, and least vertices per function, of the level at which a basis is computed. Maps of six human pairs
+# are then those of a basis with eigenvalues within 5 % of the finest level's (docs/lab/spectral.md).
+MIN_VERTICES = 3000
+VERTICES_PER_FUNCTION = 20
+HFM_FUNCTIONS = 150  # number of functions of the method "hfm"
+# Functions per level of "paper". With 100 on level 0, as in Table 1, eqs. 14-16 have no effect (docs/paper/blocks.md).
+PAPER_SCHEDULE = (50, 100)
 
 
 @dataclass(frozen=True)
@@ -63,17 +71,9 @@ class BasisConfig(Config):
         return (*(0,) * level, self.count)
 
 
-# Least vertices, and least vertices per function, of the level at which a basis is computed. Maps of six human pairs
-# are then those of a basis with eigenvalues within 5 % of the finest level's (docs/lab/spectral.md).
-MIN_VERTICES = 3000
-VERTICES_PER_FUNCTION = 20
-
 # Basis of the default method. Operators of 20 000 vertices and this accuracy change eigenvalues by less than 1 %; more
 # functions do not improve maps (docs/lab/spectral.md).
 MAP_BASIS = BasisConfig(accuracy=1e-3, vertices=20_000)
-HFM_FUNCTIONS = 150  # number of functions of the method "hfm"
-# Functions per level of "paper". With 100 on level 0, as in Table 1, eqs. 14-16 have no effect (docs/paper/blocks.md).
-PAPER_SCHEDULE = (50, 100)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,19 +196,6 @@ class HierarchicalBasis:
         return f"HierarchicalBasis({self.count} functions: {bands})"
 
 
-def products_with_bands(
-    bands: tuple[FloatArray, ...], hierarchy: Refinement, dual: FloatArray, level: int
-) -> FloatArray:
-    """Phi~^T y (k, q) for functionals y = M^level f (n_level, q), restricted level by level (Lemma 5)."""
-    products: list[FloatArray] = []
-    for coarser in reversed(range(level + 1)):
-        if coarser < len(bands):
-            products.append(bands[coarser].T @ dual)
-        if coarser > 0:
-            dual = hierarchy.matrices[coarser - 1].T @ dual
-    return np.concatenate(products[::-1]) if products else np.zeros((0, dual.shape[1]))
-
-
 def hierarchical_basis(
     hierarchy: Refinement, operators: Operators, config: BasisConfig = BasisConfig()
 ) -> HierarchicalBasis:
@@ -271,30 +258,6 @@ def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisCon
     return np.ascontiguousarray(vectors @ rotation), first + positions
 
 
-def _with_band(basis: HierarchicalBasis, level: int, band: FloatArray, indices: IndexArray) -> HierarchicalBasis:
-    """Append the band of the next level; the Gram matrix becomes [[G, E], [E^T, I]] (eqs. 8, 9)."""
-    mass, stiffness = basis.operators.mass[level], basis.operators.stiffness[level]
-    dual, energy = multiply(mass, band), multiply(stiffness, band)
-    values = np.einsum("ij,ij->j", band, energy)
-    residuals = residual_norms(values, energy, dual, lumped_areas(mass))
-    cross = products_with_bands(basis.bands, basis.hierarchy, dual, level)
-    return HierarchicalBasis(
-        basis.hierarchy,
-        basis.operators,
-        (*basis.bands, band),
-        np.concatenate([basis.eigenvalues, values]),
-        np.concatenate([basis.residuals, residuals]),
-        np.concatenate([basis.indices, indices]),
-        np.block([[basis.gram, cross], [cross.T, np.eye(len(values))]]),
-    )
-
-
-def label_clusters(values: FloatArray) -> IndexArray:
-    """(m,) cluster number of every eigenvalue of an ascending list; nearly equal ones form a cluster."""
-    steps = np.diff(values) > SOLVER.cluster * np.maximum(np.abs(values[1:]), 1e-3 * abs(values[-1]))
-    return np.concatenate([[0], np.cumsum(steps)])
-
-
 def new_directions(
     values: FloatArray, overlap: FloatArray, gram: FloatArray, present: int
 ) -> tuple[FloatArray, IndexArray]:
@@ -323,8 +286,45 @@ def new_directions(
     return rotation[:, positions], positions
 
 
+def label_clusters(values: FloatArray) -> IndexArray:
+    """(m,) cluster number of every eigenvalue of an ascending list; nearly equal ones form a cluster."""
+    steps = np.diff(values) > SOLVER.cluster * np.maximum(np.abs(values[1:]), 1e-3 * abs(values[-1]))
+    return np.concatenate([[0], np.cumsum(steps)])
+
+
 def _orthonormal(vectors: FloatArray, mass: sparse.csr_array) -> FloatArray:
     """M-orthonormalise eigenvectors in double precision; they may be in single."""
     band = np.array(vectors, dtype=np.float64)
     factor = linalg.cholesky(band.T @ multiply(mass, band))
     return np.ascontiguousarray(linalg.solve_triangular(factor, band.T, trans="T").T)
+
+
+def _with_band(basis: HierarchicalBasis, level: int, band: FloatArray, indices: IndexArray) -> HierarchicalBasis:
+    """Append the band of the next level; the Gram matrix becomes [[G, E], [E^T, I]] (eqs. 8, 9)."""
+    mass, stiffness = basis.operators.mass[level], basis.operators.stiffness[level]
+    dual, energy = multiply(mass, band), multiply(stiffness, band)
+    values = np.einsum("ij,ij->j", band, energy)
+    residuals = residual_norms(values, energy, dual, lumped_areas(mass))
+    cross = products_with_bands(basis.bands, basis.hierarchy, dual, level)
+    return HierarchicalBasis(
+        basis.hierarchy,
+        basis.operators,
+        (*basis.bands, band),
+        np.concatenate([basis.eigenvalues, values]),
+        np.concatenate([basis.residuals, residuals]),
+        np.concatenate([basis.indices, indices]),
+        np.block([[basis.gram, cross], [cross.T, np.eye(len(values))]]),
+    )
+
+
+def products_with_bands(
+    bands: tuple[FloatArray, ...], hierarchy: Refinement, dual: FloatArray, level: int
+) -> FloatArray:
+    """Phi~^T y (k, q) for functionals y = M^level f (n_level, q), restricted level by level (Lemma 5)."""
+    products: list[FloatArray] = []
+    for coarser in reversed(range(level + 1)):
+        if coarser < len(bands):
+            products.append(bands[coarser].T @ dual)
+        if coarser > 0:
+            dual = hierarchy.matrices[coarser - 1].T @ dual
+    return np.concatenate(products[::-1]) if products else np.zeros((0, dual.shape[1]))

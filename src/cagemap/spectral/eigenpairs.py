@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from scipy import linalg, sparse
 
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics.arrays import FloatArray, read_only
-from cagemap.numerics.factorization import Factorization, Precision, factor, multiply
 from cagemap.numerics.kinds import Config
+from cagemap.numerics.sparse import Factorization, Precision, factor, multiply
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, row_slices
 from cagemap.operators import Operators
 
@@ -45,43 +45,11 @@ class SolverConfig(Config):
 SOLVER = SolverConfig()
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class EigenPairs:
-    """Consecutive eigenpairs of one level, W X = M X Lambda."""
+class EigenPairs(NamedTuple):
+    """Consecutive eigenpairs of one level, W X = M X Lambda; both arrays are read-only."""
 
     values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
     vectors: NDArray[Any]  #: (n, m) M-orthonormal; in single precision if computed to a low accuracy
-    first_index: int  #: index of the first pair in the level's whole spectrum, from 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", read_only(self.values))
-        object.__setattr__(self, "vectors", read_only(self.vectors))
-
-    def __repr__(self) -> str:
-        return f"EigenPairs({self.first_index} to {self.first_index + len(self.values) - 1} of {len(self.vectors)})"
-
-
-def residual_norms(
-    values: FloatArray,
-    stiffness_vectors: FloatArray,
-    mass_vectors: FloatArray,
-    areas: FloatArray,
-    area: float | None = None,
-) -> FloatArray:
-    """(m,) relative residuals, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area), of M-orthonormal X (n, m).
-
-    ``stiffness_vectors`` is W X, ``mass_vectors`` M X, ``areas`` the lumped mass matrix D = M 1 (n,), equal to M at the
-    finest level. The lower bound 4 pi / area, for eigenvalues near 0, is the mean distance of eigenvalues (Weyl's law);
-    ``area`` is by default the sum of ``areas``.
-    """
-    squares = sum(
-        in_threads(
-            lambda part: (1.0 / areas[part]) @ (stiffness_vectors[part] - mass_vectors[part] * values) ** 2,
-            row_slices(len(areas), ROW_BLOCK),
-        )
-    )
-    least = 4.0 * np.pi / (float(areas.sum()) if area is None else area)
-    return np.asarray(np.sqrt(squares) / np.maximum(values, least))
 
 
 def band_pairs(
@@ -114,7 +82,7 @@ def band_pairs(
                 f"expected a range of eigenpairs within 0 to {len(values)}, as many as the level has independent "
                 f"functions, got {first} to {last}; start at a finer level"
             )
-        return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
+        return EigenPairs(read_only(values[first:last]), read_only(np.ascontiguousarray(vectors[:, first:last])))
     # Factors in double precision: with slivers, single precision lost all digits (docs/lab/performance.md).
     low, high = max(0, first - SOLVER.extra_pairs), min(n, last + SOLVER.extra_pairs)
     shifted, sigma = _shift_inside(stiffness, mass, low, high, like)
@@ -136,7 +104,7 @@ def band_pairs(
         )
         if not any(in_threads(partial(missed_pairs, stiffness, mass, values, low, shifted), (first, last))):
             chosen = slice(first - low, last - low)
-            return EigenPairs(values[chosen], np.ascontiguousarray(vectors[:, chosen]), first)
+            return EigenPairs(read_only(values[chosen]), read_only(np.ascontiguousarray(vectors[:, chosen])))
     raise SolverError(
         f"expected eigenpairs {first} to {last - 1}, but the inertia of the shifted matrix counts others between them; "
         "an eigenvalue of multiplicity above 64 is likely: ask for a number of pairs that does not split it"
@@ -148,6 +116,44 @@ def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
     if not 0 <= level <= operators.finest_level:
         raise ParameterError(f"expected a level from 0 to {operators.finest_level}, got {level}")
     return band_pairs(operators.stiffness[level], operators.mass[level], 0, count, accuracy=1e-10)
+
+
+def count_below(stiffness: sparse.csr_array, mass: sparse.csr_array, value: float) -> int:
+    """Number of eigenvalues below a value by Sylvester's law of inertia; SolverError if unknown."""
+    for nudge in (0.0, 1e-9, -1e-9, 1e-7):  # the value may be an eigenvalue itself
+        try:
+            counted = factor(shifted_matrix(stiffness, mass, value * (1.0 + nudge))).negative_eigenvalues
+        except SolverError:
+            continue
+        if counted is not None:
+            return counted
+    raise SolverError(
+        f"eigenvalues below {value:g}: expected to count them, but the factorisation tells no inertia there. "
+        "Install rslab."
+    )
+
+
+def residual_norms(
+    values: FloatArray,
+    stiffness_vectors: FloatArray,
+    mass_vectors: FloatArray,
+    areas: FloatArray,
+    area: float | None = None,
+) -> FloatArray:
+    """(m,) relative residuals, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area), of M-orthonormal X (n, m).
+
+    ``stiffness_vectors`` is W X, ``mass_vectors`` M X, ``areas`` the lumped mass matrix D = M 1 (n,), equal to M at the
+    finest level. The lower bound 4 pi / area, for eigenvalues near 0, is the mean distance of eigenvalues (Weyl's law);
+    ``area`` is by default the sum of ``areas``.
+    """
+    squares = sum(
+        in_threads(
+            lambda part: (1.0 / areas[part]) @ (stiffness_vectors[part] - mass_vectors[part] * values) ** 2,
+            row_slices(len(areas), ROW_BLOCK),
+        )
+    )
+    least = 4.0 * np.pi / (float(areas.sum()) if area is None else area)
+    return np.asarray(np.sqrt(squares) / np.maximum(values, least))
 
 
 def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -190,6 +196,11 @@ def _shift_inside(
     )
 
 
+def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
+    """The matrix W - shift M."""
+    return sparse.csr_array(stiffness - shift * mass)
+
+
 def missed_pairs(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
@@ -217,60 +228,6 @@ def missed_pairs(
         threshold,
     )
     return 0
-
-
-def count_below(stiffness: sparse.csr_array, mass: sparse.csr_array, value: float) -> int:
-    """Number of eigenvalues below a value by Sylvester's law of inertia; SolverError if unknown."""
-    for nudge in (0.0, 1e-9, -1e-9, 1e-7):  # the value may be an eigenvalue itself
-        try:
-            counted = factor(shifted_matrix(stiffness, mass, value * (1.0 + nudge))).negative_eigenvalues
-        except SolverError:
-            continue
-        if counted is not None:
-            return counted
-    raise SolverError(
-        f"eigenvalues below {value:g}: expected to count them, but the factorisation tells no inertia there. "
-        "Install rslab."
-    )
-
-
-def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
-    """The matrix W - shift M."""
-    return sparse.csr_array(stiffness - shift * mass)
-
-
-def orthonormal_block(
-    block: FloatArray, mass: sparse.csr_array, rng: np.random.Generator, against: Block, mass_against: Block
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """M-orthonormalise a block that is M-orthogonal to ``against``, in place, by Cholesky QR, repeated if needed.
-
-    Lost directions (when the Krylov space became invariant) are replaced by random ones, with a zero row in R.
-    Returns the new block (n, b), M times it, and R (b, b) with old block = new block @ R.
-    """
-    width = block.shape[1]
-    total = np.eye(width)
-    for _ in range(2):
-        mass_block = multiply(mass, block)
-        gram = inner_products(block, mass_block)
-        values, vectors = linalg.eigh(0.5 * (gram + gram.T))
-        weak = values <= SOLVER.dependent * max(values[-1], np.finfo(float).tiny)
-        roots = np.sqrt(np.where(weak, 1.0, values))
-        total = (np.where(weak, 0.0, roots)[:, None] * vectors.T) @ total
-        turn = vectors / roots
-        for part in (block, mass_block):
-            combined(part, turn, out=part)
-        if weak.any():
-            fresh = rng.standard_normal((len(block), int(weak.sum())))
-            for _ in range(2):
-                kept = block[:, ~weak]
-                fresh -= against @ (mass_against.T @ fresh)
-                fresh -= kept @ (multiply(mass, kept).T @ fresh)
-                fresh /= np.sqrt(np.einsum("ij,ij->j", fresh, multiply(mass, fresh)))
-            block[:, weak] = fresh
-            mass_block = multiply(mass, block)
-        elif values[0] > SOLVER.well_conditioned * values[-1]:
-            break
-    return block, mass_block, total
 
 
 def shift_invert_lanczos(
@@ -340,15 +297,49 @@ def shift_invert_lanczos(
         size += width
 
 
-def combined(basis: Block, coefficients: Block, out: Block | None = None) -> Block:
-    """(n, b) product Q C of a tall Q, in threads; ``out`` may be Q."""
-    out = np.empty((len(basis), coefficients.shape[1]), np.result_type(basis, coefficients)) if out is None else out
+def orthonormal_block(
+    block: FloatArray, mass: sparse.csr_array, rng: np.random.Generator, against: Block, mass_against: Block
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """M-orthonormalise a block that is M-orthogonal to ``against``, in place, by Cholesky QR, repeated if needed.
 
-    def combine(part: slice) -> None:
-        np.matmul(basis[part], coefficients, out=out[part])
+    Lost directions (when the Krylov space became invariant) are replaced by random ones, with a zero row in R.
+    Returns the new block (n, b), M times it, and R (b, b) with old block = new block @ R.
+    """
+    width = block.shape[1]
+    total = np.eye(width)
+    for _ in range(2):
+        mass_block = multiply(mass, block)
+        gram = inner_products(block, mass_block)
+        values, vectors = linalg.eigh(0.5 * (gram + gram.T))
+        weak = values <= SOLVER.dependent * max(values[-1], np.finfo(float).tiny)
+        roots = np.sqrt(np.where(weak, 1.0, values))
+        total = (np.where(weak, 0.0, roots)[:, None] * vectors.T) @ total
+        turn = vectors / roots
+        for part in (block, mass_block):
+            combined(part, turn, out=part)
+        if weak.any():
+            fresh = rng.standard_normal((len(block), int(weak.sum())))
+            for _ in range(2):
+                kept = block[:, ~weak]
+                fresh -= against @ (mass_against.T @ fresh)
+                fresh -= kept @ (multiply(mass, kept).T @ fresh)
+                fresh /= np.sqrt(np.einsum("ij,ij->j", fresh, multiply(mass, fresh)))
+            block[:, weak] = fresh
+            mass_block = multiply(mass, block)
+        elif values[0] > SOLVER.well_conditioned * values[-1]:
+            break
+    return block, mass_block, total
 
-    in_threads(combine, row_slices(len(basis), ROW_BLOCK))
-    return out
+
+def _remove(block: Block, basis: Block, mass_basis: Block) -> Block:
+    """Make X M-orthogonal to Q in place, in threads; returns the coefficients (M Q)^T X (m, b)."""
+    coefficients = inner_products(mass_basis, block)
+
+    def subtract(part: slice) -> None:
+        block[part] -= basis[part] @ coefficients
+
+    in_threads(subtract, row_slices(len(block), ROW_BLOCK))
+    return coefficients
 
 
 def inner_products(first: Block, second: Block, areas: FloatArray | None = None) -> Block:
@@ -361,12 +352,12 @@ def inner_products(first: Block, second: Block, areas: FloatArray | None = None)
     return np.asarray(sum(shares[1:], shares[0]))
 
 
-def _remove(block: Block, basis: Block, mass_basis: Block) -> Block:
-    """Make X M-orthogonal to Q in place, in threads; returns the coefficients (M Q)^T X (m, b)."""
-    coefficients = inner_products(mass_basis, block)
+def combined(basis: Block, coefficients: Block, out: Block | None = None) -> Block:
+    """(n, b) product Q C of a tall Q, in threads; ``out`` may be Q."""
+    out = np.empty((len(basis), coefficients.shape[1]), np.result_type(basis, coefficients)) if out is None else out
 
-    def subtract(part: slice) -> None:
-        block[part] -= basis[part] @ coefficients
+    def combine(part: slice) -> None:
+        np.matmul(basis[part], coefficients, out=out[part])
 
-    in_threads(subtract, row_slices(len(block), ROW_BLOCK))
-    return coefficients
+    in_threads(combine, row_slices(len(basis), ROW_BLOCK))
+    return out

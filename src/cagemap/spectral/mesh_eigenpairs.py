@@ -1,8 +1,7 @@
-"""Lowest eigenpairs of a mesh's Laplacian to a given residual, and operators for DiffusionNet."""
+"""Lowest eigenpairs of a mesh's Laplacian to a given residual."""
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,9 +12,8 @@ from cagemap.errors import InvalidMeshError, ParameterError, SolverError
 from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
-from cagemap.numerics.arrays import FloatArray, members_of, offsets_of
-from cagemap.numerics.factorization import Factorization, factor, multiply
-from cagemap.numerics.kinds import kinds_checked
+from cagemap.numerics.arrays import FloatArray, members_of, offsets_of, read_only
+from cagemap.numerics.sparse import factor, multiply
 from cagemap.numerics.threads import in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.eigenpairs import (
@@ -27,18 +25,11 @@ from cagemap.spectral.eigenpairs import (
     residual_norms,
     shifted_matrix,
 )
-from cagemap.spectral.surface import Surface
-from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import corner_sums, normalize_rows
 
 COLUMN_BLOCK = 32  # columns that are solved and multiplied at a time, two blocks side by side
 MAX_INVERSE_ITERATIONS = 4  # most inverse iterations after Lanczos; one suffices unless the accuracy is near rounding
 # Most parts that are solved together: Lanczos finds an eigenvalue, such as 0, about 64 times (the block's width).
 MAX_JOINT_PARTS = 100
-# For DiffusionNet: residual of eigenpairs, constant added to norms, largest cosine of normal and first axis.
-DIFFUSION_NET_ACCURACY = 1e-7
-ADDED_TO_NORMS = 1e-6
-MAX_COSINE = 0.9
 
 
 @arrays_accepted
@@ -100,7 +91,7 @@ def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accu
         columns = np.flatnonzero((lowest >= start) & (lowest < start + len(pairs.values)))
         vectors[np.ix_(part, columns)] = pairs.vectors[:, lowest[columns] - start]
         start += len(pairs.values)
-    return EigenPairs(values[lowest], vectors, 0)
+    return EigenPairs(read_only(values[lowest]), read_only(vectors))
 
 
 def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float, area: float) -> EigenPairs:
@@ -113,6 +104,11 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
     initial = band_pairs(weights, mass, 0, k, accuracy=krylov_accuracy, like=shifted)
     values, vectors = np.array(initial.values), np.array(initial.vectors, dtype=np.float64, order="C")
     parts = row_slices(k, COLUMN_BLOCK)
+
+    def improve(part: slice) -> None:
+        """One inverse iteration of some vectors."""
+        vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
+
     for iteration in range(MAX_INVERSE_ITERATIONS + 1):
         worst = np.inf
         if iteration or initial.vectors.dtype == np.float64:
@@ -125,10 +121,9 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
             if (np.diff(values) < 0.0).any():  # equal ones differ by rounding
                 order = np.argsort(values, kind="stable")
                 values, vectors = values[order], vectors.take(order, axis=1)
-            return EigenPairs(values, vectors, 0)
+            return EigenPairs(read_only(values), read_only(vectors))
         if iteration == MAX_INVERSE_ITERATIONS:
             break
-        improve = partial(_improve, shifted, areas, values - shift, vectors)
         for first in range(0, len(parts), 2):
             in_threads(improve, parts[first : first + 2])
         # M-orthonormal in order, as inverse iteration amplifies the lower vectors in each.
@@ -137,68 +132,3 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; remove triangles of almost no area, "
         "or ask `cagemap.eigenpairs` for a lower accuracy, at most 0.01"
     )
-
-
-def _improve(shifted: Factorization, areas: FloatArray, factors: FloatArray, vectors: FloatArray, part: slice) -> None:
-    """One inverse iteration of some columns of vectors (n, k), in place."""
-    vectors[:, part] = factors[part] * shifted.solve(areas[:, None] * vectors[:, part])
-
-
-@kinds_checked
-def operators_for_diffusion_net(
-    surface: Surface, level: int | None = None, count: int = 128, regularisation: float = 1e-5
-) -> tuple[FloatArray, sparse.csr_array, FloatArray, FloatArray, sparse.csr_array, sparse.csr_array]:
-    """DiffusionNet's operators of a level's triangles: mass, L, evals, evecs, gradX, gradY.
-
-    The network takes them in this order (`diffusion_net.geometry.get_operators`, Sharp et al. 2022). The level is one
-    of ``surface.hierarchy``, by default the finest. ``regularisation`` is added to the 2 x 2 least-squares matrix of
-    every gradient, in squared lengths at unit area; the default is DiffusionNet's and reduces gradients where edges are
-    shorter than about 0.005. ParameterError if the level or count is out of range.
-
-    mass (n,) are the triangles' vertex areas, of sum 1 on the finest level (nearly 1 if quads are not flat, as the area
-    of a quad is the mean of both triangulations). L (n, n) is the cotangent matrix, positive semi-definite. evals
-    (count,) and mass-orthonormal evecs (n, count) solve L x = lambda diag(mass) x. gradX and gradY (n, n) are
-    least-squares gradients over the edges at a vertex, in tangent axes: X is the projection of the first axis of space,
-    or of the second where the normal is within 26 degrees of the first; Y = normal x X.
-    """
-    triangles = surface.finest_triangles if level is None else surface.triangles(level)
-    if not 0.0 < regularisation < np.inf:
-        raise ParameterError(f"regularisation: expected a number above 0, got {regularisation}; 1e-5 is DiffusionNet's")
-    weights = stiffness(triangles.positions, triangles.triangles)
-    areas = vertex_areas(triangles.positions, triangles.triangles)
-    with one_blas_thread():
-        pairs = mass_lumped_pairs(weights, areas, count, DIFFUSION_NET_ACCURACY)
-    gradients = _edge_gradients(triangles, regularisation)
-    return areas, weights, np.maximum(pairs.values, 0.0), np.asarray(pairs.vectors), *gradients
-
-
-def _edge_gradients(triangles: TriangleSurface, regularisation: float) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """Least-squares gradients in tangent axes: at vertex i, (sum_j e_j e_j^T + eps)^-1 sum_j e_j (f_j - f_i)."""
-    ends = triangles.triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
-    rows, columns = np.unique(ends, axis=0).T
-    along = triangles.positions[columns] - triangles.positions[rows]
-    components = np.stack([np.einsum("ed,ed->e", along, axis[rows]) for axis in _tangent_axes(triangles)], axis=1)
-    n = triangles.n
-    squares = np.zeros((n, 2, 2))
-    for i, j in ((0, 0), (0, 1), (1, 1)):
-        squares[:, i, j] = squares[:, j, i] = np.bincount(rows, components[:, i] * components[:, j], n)
-    squares[:, [0, 1], [0, 1]] += regularisation
-    entries = np.einsum("eij,ej->ei", np.linalg.inv(squares)[rows], components)
-    diagonal = np.arange(n)
-    places = np.concatenate([rows, diagonal]), np.concatenate([columns, diagonal])
-    x, y = (
-        sparse.csr_array((np.concatenate([part, -np.bincount(rows, part, n)]), places), shape=(n, n))
-        for part in entries.T
-    )
-    return x, y
-
-
-def _tangent_axes(triangles: TriangleSurface) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) X and Y axes of tangent planes, normal to the mean of adjacent faces' normals."""
-    doubled = 2.0 * triangles.areas[:, None]
-    of_faces = triangles.normals * doubled / (doubled + ADDED_TO_NORMS)
-    normals = normalize_rows(corner_sums(triangles.triangles, of_faces, triangles.n))
-    axis = np.where(np.abs(normals[:, :1]) < MAX_COSINE, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    x = axis - normals * np.einsum("nd,nd->n", axis, normals)[:, None]
-    x /= np.linalg.norm(x, axis=1, keepdims=True) + ADDED_TO_NORMS
-    return x, np.cross(normals, x)

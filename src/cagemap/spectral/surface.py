@@ -32,6 +32,12 @@ from cagemap.subdivision.refinement import vertex_counts
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import surface_area, triangle_areas
 
+Progress = Callable[[str], None]
+ENOUGH = 0.75  # least share of the requested vertices that a level must have; the next has four times as many
+MOST_LEVELS = 12
+DEFAULT_VERTICES = 200_000  # default number of vertices of a match, on each side, approximately
+METHODS = ("elastic", "hfm", "paper")  # names of the methods that find a map
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Surface:
@@ -158,14 +164,6 @@ class Surface:
     def __repr__(self) -> str:
         basis = self.basis if self.is_prepared else "not prepared"
         return f"Surface({self.control.name}, levels 0 to {self.refinement.finest_level}, {basis})"
-
-
-Progress = Callable[[str], None]
-
-ENOUGH = 0.75  # least share of the requested vertices that a level must have; the next has four times as many
-MOST_LEVELS = 12
-DEFAULT_VERTICES = 200_000  # default number of vertices of a match, on each side, approximately
-METHODS = ("elastic", "hfm", "paper")  # names of the methods that find a map
 
 
 def no_progress(stage: str) -> None:

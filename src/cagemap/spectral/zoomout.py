@@ -19,8 +19,8 @@ from scipy import linalg, sparse
 
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import Config
+from cagemap.numerics.sparse import factor
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.operators import lumped_areas
 

@@ -16,7 +16,7 @@ from cagemap.files.landmarks.pairs import format_pairs, parse_landmarks
 from cagemap.files.ownership import mark
 from cagemap.files.result.manifest import file_hash
 from cagemap.files.text import read_text, whole_characters
-from cagemap.mesh.curves import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Place, SideNames
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,12 +15,12 @@ from cagemap.mesh.parts import (
     Part,
     extract_faces,
     find_part,
-    in_one_piece,
     largest_part,
     list_parts,
     numbers_on_part,
+    part_of_corners,
 )
-from cagemap.mesh.topology import face_components
+from cagemap.mesh.topology import face_components, face_pieces
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision import default_scheme, level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -129,3 +130,12 @@ def _listed_parts(mesh: ControlMesh, n_pieces: int) -> tuple[Part, ...]:
             distinct.setdefault(part.faces.tobytes(), part)
     largest = sorted(distinct.values(), key=lambda part: (-len(part.faces), PART_KINDS.index(part.kind)))
     return tuple(largest[:MAX_PART_CHOICES])
+
+
+def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
+    """The parts that are connected; parts must not overlap."""
+    of_corner = part_of_corners(mesh, parts) + 1
+    # One node for every pair of a vertex and a part around it.
+    nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_corner, return_inverse=True)
+    labels = face_pieces(mesh, corners, len(nodes))
+    return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cagemap.maps.pair import LANDMARK_NORMAL_WEIGHT, locate
-from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import Place
 from cagemap.studio.shape import Hit, Shape, line_hits

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.studio.file_parts import NO_PARTS, PartChoices
 from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, SideNames, mirror, opposite_side

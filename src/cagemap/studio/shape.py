@@ -12,9 +12,11 @@ from cagemap.mesh.topology import mesh_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.numerics.threads import kept
 from cagemap.pictures import UP_AXES
-from cagemap.subdivision import Refinement, level_triangles, limit_normals, limit_positions, triangles
+from cagemap.subdivision import Refinement, level_triangles, triangles
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.surface.triangles import triangle_areas, triangle_frames
+from cagemap.surface.triangles import triangle_areas, triangle_frames, vertex_normals
+
+SLACK = 1e-9  # of barycentric coordinates: without it a ray through a vertex may miss all of its triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +29,11 @@ class OriginalMesh:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Triangles of one subdivision level, at their limit positions."""
+    """Triangles of one subdivision level."""
 
     control: ControlMesh
-    # `positions`, `normals`: (n, 3) limit positions in file units, unit normals; the first rows are the control
-    # vertices' points
-    positions: FloatArray
-    normals: FloatArray
+    positions: FloatArray  # (n, 3) in file units; the first rows are the control vertices' points
+    normals: FloatArray  # (n, 3) unit normals
     triangles: IndexArray  # (t, 3) numbered as in point maps
     uvs: FloatArray | None  # (p, 2)
     uv_triangles: IndexArray | None  # (t, 3)
@@ -123,8 +123,8 @@ def refined_shape(
     per_face = len(finest_triangles) // len(finest.face_parents)
     return Shape(
         control=refinement.control,
-        positions=limit_positions(refinement, level),
-        normals=limit_normals(refinement, level),
+        positions=finest.positions,
+        normals=vertex_normals(finest.positions, finest_triangles),
         triangles=finest_triangles,
         uvs=finest.uvs,
         uv_triangles=None if finest.uv_indices is None else triangles(finest.uv_indices),
@@ -179,8 +179,8 @@ def line_hits(
         offset_cross_ab = np.cross(offset, ab)
         v = offset_cross_ab @ line / determinant
         distance = np.einsum("td,td->t", ac, offset_cross_ab) / determinant
-        inside = (u >= 0) & (v >= 0) & (u + v <= 1) & np.isfinite(distance)
-    weights = np.column_stack([1 - u - v, u, v])
+        weights = np.column_stack([1 - u - v, u, v])
+        inside = (weights >= -SLACK).all(axis=1) & np.isfinite(distance)
     return candidates[inside], weights[inside], distance[inside]
 
 
@@ -191,7 +191,7 @@ def _triangles_near_line(
     across = np.cross(line, np.eye(3)[np.argmin(np.abs(line))])
     plane = np.column_stack([across, np.cross(line, across)])
     projected = (positions - start) @ plane
-    slack = 1e-9 * np.abs(projected).max(axis=0, initial=0.0)
+    slack = SLACK * np.abs(projected).max(axis=0, initial=0.0)
     sides = ((projected >= -slack) @ np.array([1, 2]) + (projected <= slack) @ np.array([4, 8])).astype(np.uint8)
     a, b, c = (sides[triangles[:, k]] for k in range(3))
     return np.flatnonzero((a | b | c) == 15)

@@ -1,8 +1,5 @@
-"""Subdivision: refined levels, the matrices between them, and limit positions and normals."""
+"""Subdivision: refined levels, and the matrices between them."""
 
-from cagemap.subdivision.limit import limit_matrix as limit_matrix
-from cagemap.subdivision.limit import limit_normals as limit_normals
-from cagemap.subdivision.limit import limit_positions as limit_positions
 from cagemap.subdivision.refinement import Level as Level
 from cagemap.subdivision.refinement import Refinement as Refinement
 from cagemap.subdivision.refinement import default_scheme as default_scheme

@@ -1,7 +1,7 @@
 """Refine face-varying values: UVs by subdivision of the mesh cut along its seams, other values linearly.
 
 A vertex of the UV layout is a pair of a mesh vertex and one of its UVs. Seams are boundaries of the layout; the six
-modes differ in which boundary values are fixed (``corner``). Sharpness is taken from the mesh (`layout_sharpness`).
+modes differ in which boundary values are fixed (``corner``). Sharpness is taken from the mesh (`_with_sharpness`).
 
 Values painted on a cage are interpolated linearly over its faces: subdivision would smooth a weight of 1 at one control
 vertex to 0.45. Vertices keep their value, edges get the midpoint, faces the mean.
@@ -9,7 +9,7 @@ vertex to 0.45. Vertices keep their value, edges get the midpoint, faces the mea
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -20,7 +20,7 @@ from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, Topology, layout_topology
 from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of
 from cagemap.subdivision.matrices import linear_matrix, subdivision_matrix
-from cagemap.subdivision.topology import MeshState, Sharpness, children, control_state, next_state, split_topology
+from cagemap.subdivision.topology import MeshState, children, control_state, next_state, split_topology
 from cagemap.surface.triangles import fan_triangles, triangles
 
 Layout: TypeAlias = tuple[FloatArray, IndexArray]  # UVs (p, 2) of a level, UV of every corner of its faces
@@ -28,9 +28,16 @@ Layout: TypeAlias = tuple[FloatArray, IndexArray]  # UVs (p, 2) of a level, UV o
 _DEPENDENT = ("corners_plus1", "corners_plus2")
 
 
-def is_linear(scheme: Scheme) -> bool:
-    """Whether UVs are refined linearly everywhere: mode ``all``, or `Bilinear`."""
-    return scheme.uv_interpolation == "all" or isinstance(scheme, Bilinear)
+def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
+    """UVs (p, 2) of level 1 or higher, and the UV of every corner of its faces (m, 4) or (m, 3)."""
+    state = control_state(control, scheme)
+    layout, uvs = control_layout(control, state, scheme)
+    for step in range(levels):
+        if step:
+            state = state if _is_linear(scheme) else next_state(state, scheme)
+            layout = _next_layout(layout, scheme)
+        uvs = _layout_matrix(layout, state, scheme) @ uvs
+    return uvs, children(layout.topology, scheme).astype(np.int64)
 
 
 def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tuple[MeshState, FloatArray]:
@@ -42,23 +49,24 @@ def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tu
     values, owners = np.divmod(unique, control.n_vertices)
     cut = layout_topology(control, numbers.astype(np.int64), len(unique))
     layout = MeshState(cut, np.zeros(len(unique), dtype=bool))
-    if not is_linear(scheme):
-        around = layout_sharpness(layout, state)
-        fixed, follows = _fixed_values(cut, state.topology, owners, around, scheme.uv_interpolation)
-        fixed = cut.boundary & (fixed | (around.vertices >= INFINITE_SHARPNESS))
+    if not _is_linear(scheme):
+        sharp = _with_sharpness(layout, state)
+        fixed, follows = _fixed_values(sharp, state.topology, owners, scheme.uv_interpolation)
+        fixed = cut.boundary & (fixed | (sharp.vertices >= INFINITE_SHARPNESS))
         layout = MeshState(cut, fixed, follows=follows)
     return layout, control.uvs[values]
 
 
 def _fixed_values(
-    cut: Topology, topology: Topology, owners: IndexArray, around: Sharpness, mode: str
+    layout: MeshState, topology: Topology, owners: IndexArray, mode: str
 ) -> tuple[BoolArray, IndexArray | None]:
-    """Fixed UVs of a mode, and ``follows`` of `vertex_rules`; UVs belong to mesh vertices ``owners`` (p,)."""
+    """Fixed UVs of a mode, and `MeshState.follows`; UVs belong to mesh vertices ``owners`` (p,)."""
+    cut = layout.topology
     if mode == "boundaries":
         return cut.boundary, None
     single = cut.boundary & (cut.valences == 1)
     inside = ~cut.outer_edges
-    fixed = mask_of(cut.edge_ends[inside & (around.edges >= INFINITE_SHARPNESS)], cut.n_vertices)
+    fixed = mask_of(cut.edge_ends[inside & (layout.edges >= INFINITE_SHARPNESS)], cut.n_vertices)
     fixed[cut.vertices[cut.ranks < 0]] = True  # separate fans
     if mode == "none":
         return fixed, None
@@ -71,9 +79,9 @@ def _fixed_values(
         twin[both] = both[:, ::-1]
         causes = fixed | single if mode == "corners_plus2" else fixed
         fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[twin]))
-        semi_sharp = inside & (around.edges > 0) & (around.edges < INFINITE_SHARPNESS)
+        semi_sharp = inside & (layout.edges > 0) & (layout.edges < INFINITE_SHARPNESS)
         semi = mask_of(cut.edge_ends[semi_sharp], cut.n_vertices)
-        smooth_one = (n_values == 2) & ~semi & semi[twin] & ~(around.vertices > 0) & ~(fixed | single)
+        smooth_one = (n_values == 2) & ~semi & semi[twin] & ~(layout.vertices > 0) & ~(fixed | single)
         if smooth_one.any():
             follows = np.where(smooth_one, twin, np.arange(len(owners)))
         if mode == "corners_plus2":
@@ -82,9 +90,9 @@ def _fixed_values(
     return fixed | single, follows
 
 
-def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
-    """Sharpness of the mesh on its layout; seams and fixed values are infinitely sharp."""
-    cut, topology, sharpness = layout.topology, state.topology, state.sharpness
+def _with_sharpness(layout: MeshState, state: MeshState) -> MeshState:
+    """The layout with the sharpness of the mesh; seams and fixed values are infinitely sharp."""
+    cut, topology = layout.topology, state.topology
     forward = cut.edge_corners[:, 0]
     outer = cut.outer_edges
     owners = np.empty(cut.n_vertices, dtype=np.int64)
@@ -92,13 +100,15 @@ def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
     edges, halves = np.zeros(len(outer)), np.zeros((len(outer), 2))
     vertices = np.where(state.corner, INFINITE_SHARPNESS, 0.0)
     after = vertices
-    if sharpness is not None:
-        edges, halves = sharpness.of_corners(topology, forward)
-        vertices, after = sharpness.vertices, sharpness.after
+    if state.is_sharp:
+        of_mesh, same = topology.edges[forward], topology.forward[forward]
+        edges, halves = state.edges[of_mesh], state.halves[of_mesh]
+        halves = np.where(same[:, None], halves, halves[:, ::-1])
+        vertices, after = state.vertices, state.after
     edges[outer], halves[outer] = INFINITE_SHARPNESS, INFINITE_SHARPNESS
     vertices = np.where(layout.corner, INFINITE_SHARPNESS, vertices[owners])
     after = np.where(layout.corner, INFINITE_SHARPNESS, after[owners])
-    return Sharpness(edges, halves, vertices, after)
+    return replace(layout, edges=edges, halves=halves, vertices=vertices, after=after)
 
 
 def _next_layout(layout: MeshState, scheme: Scheme) -> MeshState:
@@ -112,67 +122,39 @@ def _next_layout(layout: MeshState, scheme: Scheme) -> MeshState:
     return replace(layout, topology=child, corner=fixed, follows=follows)
 
 
-def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
-    """UVs (p, 2) of level 1 or higher, and the UV of every corner of its faces (m, 4) or (m, 3)."""
-    state = control_state(control, scheme)
-    layout, uvs = control_layout(control, state, scheme)
-    for step in range(levels):
-        if step:
-            state = state if is_linear(scheme) else next_state(state, scheme)
-            layout = _next_layout(layout, scheme)
-        uvs = _layout_matrix(layout, state, scheme) @ uvs
-    return uvs, children(layout.topology, scheme).astype(np.int64)
-
-
 def _layout_matrix(layout: MeshState, state: MeshState, scheme: Scheme) -> sparse.csr_array:
-    """Matrix from UVs to those of the next level: linear if `is_linear`, else of a subdivision step on the layout."""
-    if is_linear(scheme):
+    """Matrix from UVs to those of the next level: linear if `_is_linear`, else of a subdivision step on the layout."""
+    if _is_linear(scheme):
         return linear_matrix(layout.topology, not isinstance(scheme, Loop))
-    if state.sharpness is not None:
-        around = layout_sharpness(layout, state)
-        fixed = layout.topology.boundary & (around.vertices >= INFINITE_SHARPNESS)
-        layout = replace(layout, corner=fixed, sharpness=around)
+    if state.is_sharp:
+        layout = _with_sharpness(layout, state)
+        layout = replace(layout, corner=layout.topology.boundary & (layout.vertices >= INFINITE_SHARPNESS))
     return subdivision_matrix(layout, scheme)
 
 
-@dataclass(frozen=True, eq=False)
-class LinearValues:
-    """Linear interpolation of control mesh values on the triangles of a refined level."""
-
-    matrix: sparse.csr_array  #: (p, p0) weights of the control mesh's nodes at the level's; rows sum to 1
-    corners: IndexArray  #: (t, 3) nodes of the level's triangles
-
-    def at(self, triangle: IndexArray, barycentric: FloatArray) -> sparse.csr_array:
-        """(k, p0) weights of the control mesh's values at points of the surface."""
-        k = len(triangle)
-        rows = sparse.csr_array(
-            (barycentric.ravel(), self.corners[triangle].ravel(), np.arange(0, 3 * k + 1, 3)),
-            shape=(k, self.matrix.shape[0]),
-        )
-        weights = sparse.csr_array(rows @ self.matrix)
-        weights.eliminate_zeros()
-        weights.sort_indices()
-        return weights
+def _is_linear(scheme: Scheme) -> bool:
+    """Whether UVs are refined linearly everywhere: mode ``all``, or `Bilinear`."""
+    return scheme.uv_interpolation == "all" or isinstance(scheme, Bilinear)
 
 
 def interpolate_linearly(
     control: ControlMesh, nodes: IndexArray, count: int, level: int, scheme: Scheme
-) -> LinearValues:
-    """Linear interpolation of values on a control mesh, at the triangles of a level.
+) -> tuple[sparse.csr_array, IndexArray]:
+    """Linear interpolation at a level: weights (p, count) of its nodes, and the nodes of its triangles (t, 3).
 
     ``nodes`` (c,), below ``count``, are the vertex of every face corner, or a node of `merged_corners`: corners of one
     node share its value. All corners of a node must belong to one vertex.
     """
     if level == 0:
         identity = sparse.csr_array(sparse.eye_array(count, format="csr"))
-        return LinearValues(identity, fan_triangles(control.face_offsets, nodes)[0])
+        return identity, fan_triangles(control.face_offsets, nodes)[0]
     with_faces = not isinstance(scheme, Loop)
     topology = layout_topology(control, nodes, count)
     matrix = linear_matrix(topology, with_faces)
     for _ in range(level - 1):
         topology = split_topology(topology, scheme)
         matrix = sparse.csr_array(linear_matrix(topology, with_faces) @ matrix)
-    return LinearValues(matrix, triangles(children(topology, scheme).astype(np.int64)))
+    return matrix, triangles(children(topology, scheme).astype(np.int64))
 
 
 def corner_triangles(control: ControlMesh, level: int, scheme: Scheme) -> IndexArray:

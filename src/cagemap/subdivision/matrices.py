@@ -11,38 +11,69 @@ from scipy.sparse import csr_array, diags_array, vstack
 
 from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, IntArray, Topology
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.subdivision.topology import MeshState, Sharpness, vertex_rules
+from cagemap.numerics.arrays import FloatArray
+from cagemap.subdivision.topology import MeshState, vertex_rules
 
 Entries: TypeAlias = tuple[NDArray[np.integer], NDArray[np.integer], FloatArray]  # rows, columns, weights
 
 
-def matrix_of(entries: Sequence[Entries], shape: tuple[int, int]) -> csr_array:
-    """Sparse matrix of all entries; repeated ones are summed (at valence 2 inside, and for n-gons)."""
-    rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
-    return csr_array((weights, (rows.astype(np.int32), columns.astype(np.int32))), shape=shape)
+def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
+    """Matrix S (n_fine, n_coarse) from a level to the next; rows sum to 1, indices ascend in every row."""
+    topology = state.topology
+    if isinstance(scheme, Bilinear):
+        return linear_matrix(topology)
+    quads = topology.n_corners == 4 * topology.n_faces and np.array_equal(
+        topology.faces[::4], np.arange(topology.n_faces)
+    )
+    if quads or isinstance(scheme, Loop):
+        matrix = regular_matrix(topology, scheme, state.corner)
+    else:
+        matrix = polygon_matrix(topology, scheme, state.corner)
+    return _sharpened(matrix, state) if state.is_sharp else matrix
 
 
-def boundary_entries(topology: Topology, corner: BoolArray, weights: tuple[float, float]) -> list[Entries]:
-    """Entries of boundary vertices: ``weights`` (own, each boundary neighbour), or 1 at corners."""
-    crease, curve = topology.boundary & ~corner, topology.boundary_corners
-    starts, ends = topology.vertices[curve], topology.vertices[topology.following[curve]]
-    own = np.flatnonzero(crease | corner).astype(np.int32)
-    return [
-        (own, own, np.where(corner[own], 1.0, weights[0])),
-        *(
-            (vertices[crease[vertices]], neighbours[crease[vertices]], np.full(crease[vertices].sum(), weights[1]))
-            for vertices, neighbours in ((starts, ends), (ends, starts))
-        ),
+def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
+    """Matrix of one step of Catmull-Clark on quads, or of Loop on triangles."""
+    n, n_points = topology.n_vertices, topology.n_vertices + topology.n_edges
+    neighbours = topology.vertices[topology.following]  # of every corner in its face, then the opposite vertices
+    rings = [neighbours] if isinstance(scheme, Loop) else [neighbours, neighbours[topology.following]]
+    own_weights, *each = scheme.vertex_weights(topology.valences)
+    entries: list[Entries] = [
+        *_inner_entries(topology, own_weights, *zip(rings, each, strict=True)),
+        *_boundary_entries(topology, corner),
+        *_edge_entries(topology, *scheme.edge_weights(), n_others=len(rings)),
     ]
+    if isinstance(scheme, Loop):
+        return _matrix_of(entries, (n_points, n))
+    entries.append((n_points + topology.faces, topology.vertices, np.full(topology.n_corners, 0.25)))
+    return _matrix_of(entries, (n_points + topology.n_faces, n))
 
 
-def inner_entries(topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> list[Entries]:
+def _inner_entries(topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> list[Entries]:
     """Entries of inner vertices: own weight (n,), then vertex (c,) and weight (n,) of every ring."""
     numbers = np.flatnonzero(~topology.boundary).astype(np.int32)
     around = np.flatnonzero(~topology.boundary[topology.vertices])
     centres = topology.vertices[around]
     return [(numbers, numbers, own[numbers]), *((centres, ring[around], weights[centres]) for ring, weights in rings)]
+
+
+def _boundary_entries(topology: Topology, corner: BoolArray) -> list[Entries]:
+    """Entries of boundary vertices: those of a crease, or 1 at corners."""
+    own_weight, neighbour_weight = CREASE_VERTEX
+    crease, curve = topology.boundary & ~corner, topology.boundary_corners
+    starts, ends = topology.vertices[curve], topology.vertices[topology.following[curve]]
+    own = np.flatnonzero(crease | corner).astype(np.int32)
+    return [
+        (own, own, np.where(corner[own], 1.0, own_weight)),
+        *(
+            (
+                vertices[crease[vertices]],
+                neighbours[crease[vertices]],
+                np.full(crease[vertices].sum(), neighbour_weight),
+            )
+            for vertices, neighbours in ((starts, ends), (ends, starts))
+        ),
+    ]
 
 
 def _edge_entries(topology: Topology, end_weight: float, other_weight: float, n_others: int) -> list[Entries]:
@@ -61,27 +92,6 @@ def _edge_entries(topology: Topology, end_weight: float, other_weight: float, n_
     return entries
 
 
-def rings_of(topology: Topology, scheme: CatmullClark | Loop) -> list[IntArray]:
-    """Vertices (c,) next to every corner in its face, and under Catmull-Clark also the opposite ones."""
-    neighbours = topology.vertices[topology.following]
-    return [neighbours] if isinstance(scheme, Loop) else [neighbours, neighbours[topology.following]]
-
-
-def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
-    """Matrix of one step of Catmull-Clark on quads, or of Loop on triangles."""
-    n, rings, n_points = topology.n_vertices, rings_of(topology, scheme), topology.n_vertices + topology.n_edges
-    own_weights, *each = scheme.vertex_weights(topology.valences)
-    entries: list[Entries] = [
-        *inner_entries(topology, own_weights, *zip(rings, each, strict=True)),
-        *boundary_entries(topology, corner, CREASE_VERTEX),
-        *_edge_entries(topology, *scheme.edge_weights(), n_others=len(rings)),
-    ]
-    if isinstance(scheme, Loop):
-        return matrix_of(entries, (n_points, n))
-    entries.append((n_points + topology.faces, topology.vertices, np.full(topology.n_corners, 0.25)))
-    return matrix_of(entries, (n_points + topology.n_faces, n))
-
-
 def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
     """Matrix of one step of Catmull-Clark on faces of any size, by way of face points [CC78]."""
     smooth = ~topology.boundary
@@ -98,7 +108,7 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
         diags_array(np.where(smooth, own_weights, 0.0))
         + diags_array(np.where(smooth, neighbour, 0.0)) @ (starts.T @ ends)
         + diags_array(np.where(smooth, face, 0.0)) @ (starts.T @ of_face) @ face_points
-        + matrix_of(boundary_entries(topology, corner, CREASE_VERTEX), (topology.n_vertices,) * 2)
+        + _matrix_of(_boundary_entries(topology, corner), (topology.n_vertices,) * 2)
     )
     interior = ~topology.outer_edges
     forward = topology.edge_corners[:, 0]
@@ -128,33 +138,22 @@ def linear_matrix(topology: Topology, with_faces: bool = True) -> csr_array:
     entries += [(edges, topology.vertices[corner], half) for corner in (forward, topology.following[forward])]
     if with_faces:
         entries.append((n + e + topology.faces, topology.vertices, 1.0 / np.bincount(topology.faces)[topology.faces]))
-    return matrix_of(entries, (n + e + (topology.n_faces if with_faces else 0), n))
+    return _matrix_of(entries, (n + e + (topology.n_faces if with_faces else 0), n))
 
 
-def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
-    """Matrix S (n_fine, n_coarse) from a level to the next; rows sum to 1, indices ascend in every row."""
-    topology = state.topology
-    if isinstance(scheme, Bilinear):
-        return linear_matrix(topology)
-    quads = topology.n_corners == 4 * topology.n_faces and np.array_equal(
-        topology.faces[::4], np.arange(topology.n_faces)
-    )
-    if quads or isinstance(scheme, Loop):
-        matrix = regular_matrix(topology, scheme, state.corner)
-    else:
-        matrix = polygon_matrix(topology, scheme, state.corner)
-    return matrix if state.sharpness is None else sharpen_matrix(matrix, topology, state.sharpness, state.follows)
+def _matrix_of(entries: Sequence[Entries], shape: tuple[int, int]) -> csr_array:
+    """Sparse matrix of all entries; repeated ones are summed (at valence 2 inside, and for n-gons)."""
+    rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
+    return csr_array((weights, (rows.astype(np.int32), columns.astype(np.int32))), shape=shape)
 
 
-def sharpen_matrix(
-    matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
-) -> csr_array:
+def _sharpened(matrix: csr_array, state: MeshState) -> csr_array:
     """Apply the crease and corner rules to a one-step subdivision matrix S (n_fine, n) with boundary rules."""
-    n = topology.n_vertices
+    topology, n = state.topology, state.topology.n_vertices
     ends, vertices = topology.edge_ends, np.arange(n)
-    smooth, crease, crease_after, corner = vertex_rules(topology, sharpness, follows)
+    smooth, crease, crease_after, corner = vertex_rules(state)
     # An edge of sharpness s < 1 is blended, s sharp and 1 - s smooth, unless both its halves are still creases.
-    hard = np.where(np.all(sharpness.halves > 0, axis=1), 1.0, sharpness.edges)
+    hard = np.where(np.all(state.halves > 0, axis=1), 1.0, state.edges)
     hard[topology.outer_edges] = 0.0  # boundary edges have their midpoint already
     # A boundary row of the matrix is kept where the boundary is the vertex's only crease.
     unchanged = topology.boundary & (crease == 1)
@@ -163,7 +162,7 @@ def sharpen_matrix(
     smooth_part[n : n + len(ends)] = 1.0 - hard
     own_weight, neighbour_weight = CREASE_VERTEX
     crease = np.where(unchanged, 0.0, crease)
-    along = (sharpness.edges[:, None] > 0) * crease[ends] + (sharpness.halves > 0) * crease_after[ends]
+    along = (state.edges[:, None] > 0) * crease[ends] + (state.halves > 0) * crease_after[ends]
     sharp_edges = np.flatnonzero(hard)
     parts: list[Entries] = [
         (vertices, vertices, corner + own_weight * (crease + crease_after)),
@@ -172,7 +171,7 @@ def sharpen_matrix(
         (n + sharp_edges, ends[sharp_edges, 0], hard[sharp_edges] / 2),
         (n + sharp_edges, ends[sharp_edges, 1], hard[sharp_edges] / 2),
     ]
-    result = csr_array(diags_array(smooth_part) @ matrix + matrix_of(parts, matrix.shape))
+    result = csr_array(diags_array(smooth_part) @ matrix + _matrix_of(parts, matrix.shape))
     result.eliminate_zeros()
     result.sort_indices()
     return result

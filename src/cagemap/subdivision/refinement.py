@@ -23,7 +23,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys, places_of
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
-from cagemap.subdivision.topology import MeshState, children, control_state, control_topology, next_state
+from cagemap.subdivision.topology import children, control_state, control_topology, next_state
 from cagemap.surface.triangles import triangles as triangles
 
 ENTRIES_PER_CORNER = 25  # nonzeros of the second S per control corner, about; each further S has 4 times as many
@@ -33,7 +33,7 @@ ENTRIES_PER_CORNER = 25  # nonzeros of the second S per control corner, about; e
 class Level:
     """Mesh of one level."""
 
-    positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; refined positions, not limit positions
+    positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; not on the limit surface
     faces: IndexArray | None  #: (m, 4) or (m, 3); None at level 0 of other faces, see ``Refinement.control``
     face_parents: IndexArray  #: (m,) control face of every face
     lay: Callable[[], Layout] | None = None  #: gives UVs (p, 2) and the UV of every corner of ``faces``
@@ -278,14 +278,6 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
         lay = partial(refined_layout, control, step + 1, scheme) if has_uvs else None
         result.append(Level(positions, children(state.topology, scheme).astype(np.int64), parents, lay))
     return Refinement(control, scheme, tuple(matrices), tuple(result))
-
-
-def state_of(refinement: Refinement, level: int) -> MeshState:
-    """State of a level, computed from the control mesh (cheap)."""
-    state = control_state(refinement.control, refinement.scheme)
-    for _ in range(level):
-        state = next_state(state, refinement.scheme)
-    return state
 
 
 def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:

@@ -9,7 +9,8 @@ both rules are blended by the sharpness that disappears [DKT98]_. Rules are Open
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,45 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import INFINITE_SHARPNESS, Creasing, Loop, Scheme
 from cagemap.mesh.topology import BoolArray, IntArray, Topology, mesh_topology
 from cagemap.numerics.arrays import Array, FloatArray, IndexArray, pair_keys
+
+SMOOTH, CREASE, CORNER = 0, 2, 3  # vertex rules; smooth includes darts, where a single crease ends
+_none = partial(np.zeros, 0)  # sharpness of a smooth mesh
+
+
+@dataclass(frozen=True, eq=False)
+class MeshState:
+    """Connectivity of one level, of the mesh or of its UVs, and sharpness: empty without creases and corners inside."""
+
+    topology: Topology
+    corner: BoolArray  # (n,) fixed boundary vertices
+    edges: FloatArray = field(default_factory=_none)  # (e,) sharpness, 0 where smooth, infinite on the boundary
+    halves: FloatArray = field(default_factory=_none)  # (e, 2) of what edges become in a step, at their start and end
+    vertices: FloatArray = field(default_factory=_none)  # (n,)
+    after: FloatArray = field(default_factory=_none)  # (n,) of vertices after a step
+    follows: IndexArray | None = None  # (n,) of UVs: i has the edge sharpness around vertex follows[i]; None: its own
+
+    @property
+    def is_sharp(self) -> bool:
+        """Whether there are creases or corners inside."""
+        return len(self.vertices) > 0
+
+
+def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
+    """State of level 0."""
+    topology = control_topology(control)
+    corner = fixed_boundary_vertices(topology, scheme)
+    edges, vertices = np.zeros(topology.n_edges), np.zeros(control.n_vertices)
+    if control.crease_edges is not None and control.crease_sharpness is not None:
+        keys, creases = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
+        # Edges ascend, see `layout_topology`.
+        edges[np.searchsorted(keys, creases)] = np.clip(control.crease_sharpness, 0.0, INFINITE_SHARPNESS)
+    if control.corner_vertices is not None and control.corner_sharpness is not None:
+        vertices[control.corner_vertices] = np.clip(control.corner_sharpness, 0.0, INFINITE_SHARPNESS)
+    if not (edges > 0).any() and not (vertices > 0).any():
+        return MeshState(topology, corner)
+    edges[topology.outer_edges] = INFINITE_SHARPNESS
+    vertices[corner] = INFINITE_SHARPNESS
+    return _sharp_state(topology, corner, edges, vertices, scheme.creasing)
 
 
 def control_topology(mesh: ControlMesh) -> Topology:
@@ -45,11 +85,57 @@ def control_topology(mesh: ControlMesh) -> Topology:
     return topology
 
 
-def corner_neighbours(n_faces: int, size: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Face, following and previous corner of every corner, for faces of ``size`` corners."""
-    corners = np.arange(n_faces * size, dtype=np.int32).reshape(n_faces, size)
-    faces = np.repeat(np.arange(n_faces, dtype=np.int32), size)
-    return faces, np.roll(corners, -1, axis=1).ravel(), np.roll(corners, 1, axis=1).ravel()
+def fixed_boundary_vertices(topology: Topology, scheme: Scheme) -> BoolArray:
+    """(n,) fixed boundary vertices: those with a single face, under ``edge_and_corner``."""
+    if scheme.boundary != "edge_and_corner":
+        return np.zeros(topology.n_vertices, dtype=bool)
+    return topology.boundary & (topology.valences == 1)
+
+
+def next_state(state: MeshState, scheme: Scheme) -> MeshState:
+    """State of the next finer level."""
+    topology = split_topology(state.topology, scheme)
+    corner = np.zeros(topology.n_vertices, dtype=bool)
+    corner[: len(state.corner)] = state.corner
+    if not state.is_sharp:
+        return MeshState(topology, corner)
+    edges, vertices = np.zeros(topology.n_edges), np.zeros(topology.n_vertices)  # new elements are smooth
+    edges[: state.halves.size] = state.halves.ravel()  # edge e becomes 2e and 2e + 1
+    edges[topology.outer_edges] = INFINITE_SHARPNESS
+    vertices[: len(state.after)] = state.after
+    return _sharp_state(topology, corner, edges, vertices, scheme.creasing)
+
+
+def split_topology(parent: Topology, scheme: Scheme) -> Topology:
+    """Topology of the next level.
+
+    Edge e becomes 2e (its first half) and 2e + 1, both in e's direction. One new edge per corner follows: from its edge
+    point to its face point, or under Loop to its previous edge point.
+    """
+    loop, count, previous = isinstance(scheme, Loop), parent.n_corners, parent.previous
+    outgoing, incoming = 2 * parent.edges + ~parent.forward, (2 * parent.edges + parent.forward)[previous]
+    new = np.arange(count, dtype=np.int32) + 2 * parent.n_edges
+    new_forward, incoming_forward = np.ones(count, dtype=bool), parent.forward[previous]
+    if loop:
+        edges = _with_middle(np.stack([outgoing, new, incoming], axis=1), np.roll(new.reshape(-1, 3), -1, axis=1))
+        forward = _with_middle(
+            np.stack([parent.forward, new_forward, incoming_forward], axis=1), np.zeros((parent.n_faces, 3), bool)
+        )
+    else:
+        edges = np.stack([outgoing, new, new[previous], incoming], axis=1)
+        forward = np.stack([parent.forward, new_forward, ~new_forward, incoming_forward], axis=1)
+    corners = np.arange(edges.size, dtype=np.int32).reshape(edges.shape)
+    return Topology(
+        parent.n_vertices + parent.n_edges + (0 if loop else parent.n_faces),
+        2 * parent.n_edges + count,
+        len(edges),
+        children(parent, scheme).ravel(),
+        edges.ravel(),
+        forward.ravel(),
+        np.repeat(np.arange(len(edges), dtype=np.int32), edges.shape[1]),
+        np.roll(corners, -1, axis=1).ravel(),
+        np.roll(corners, 1, axis=1).ravel(),
+    )
 
 
 def children(parent: Topology, scheme: Scheme) -> IntArray:
@@ -71,60 +157,14 @@ def _with_middle(tips: Array, middle: Array) -> Array:
     return np.concatenate([tips.reshape(-1, 3, 3), middle[:, None]], axis=1).reshape(-1, 3)  # type: ignore[return-value]
 
 
-def split_topology(parent: Topology, scheme: Scheme) -> Topology:
-    """Topology of the next level.
-
-    Edge e becomes 2e (its first half) and 2e + 1, both in e's direction. One new edge per corner follows: from its edge
-    point to its face point, or under Loop to its previous edge point.
-    """
-    loop, count, previous = isinstance(scheme, Loop), parent.n_corners, parent.previous
-    outgoing, incoming = 2 * parent.edges + ~parent.forward, (2 * parent.edges + parent.forward)[previous]
-    new = np.arange(count, dtype=np.int32) + 2 * parent.n_edges
-    new_forward, incoming_forward = np.ones(count, dtype=bool), parent.forward[previous]
-    if loop:
-        edges = _with_middle(np.stack([outgoing, new, incoming], axis=1), np.roll(new.reshape(-1, 3), -1, axis=1))
-        forward = _with_middle(
-            np.stack([parent.forward, new_forward, incoming_forward], axis=1), np.zeros((parent.n_faces, 3), bool)
-        )
-    else:
-        edges = np.stack([outgoing, new, new[previous], incoming], axis=1)
-        forward = np.stack([parent.forward, new_forward, ~new_forward, incoming_forward], axis=1)
-    return Topology(
-        parent.n_vertices + parent.n_edges + (0 if loop else parent.n_faces),
-        2 * parent.n_edges + count,
-        len(edges),
-        children(parent, scheme).ravel(),
-        edges.ravel(),
-        forward.ravel(),
-        *corner_neighbours(*edges.shape),
-    )
-
-
-SMOOTH, CREASE, CORNER = 0, 2, 3  # vertex rules; smooth includes darts, where a single crease ends
-
-
-@dataclass(frozen=True, eq=False)
-class Sharpness:
-    """Sharpness before and after one step."""
-
-    edges: FloatArray  # (e,) 0 where smooth, infinite on the boundary
-    halves: FloatArray  # (e, 2) of what edges become, at their start and end
-    vertices: FloatArray  # (n,)
-    after: FloatArray  # (n,) of vertices after the step
-
-    def of_corners(self, topology: Topology, corners: NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
-        """Sharpness of the edges (k,) of corners and of their halves (k, 2), in the corners' direction."""
-        edges = topology.edges[corners]
-        halves = self.halves[edges]
-        return self.edges[edges], np.where(topology.forward[corners][:, None], halves, halves[:, ::-1])
-
-
-def with_halves(topology: Topology, edges: FloatArray, vertices: FloatArray, creasing: Creasing) -> Sharpness:
-    """Sharpness of edges and vertices before and after one subdivision step."""
+def _sharp_state(
+    topology: Topology, corner: BoolArray, edges: FloatArray, vertices: FloatArray, creasing: Creasing
+) -> MeshState:
+    """State with the sharpness of edges and vertices before and after one subdivision step."""
     halves = _reduced(np.column_stack([edges, edges]))
     if creasing == "chaikin":
         halves = _chaikin_halves(topology, edges, halves)
-    return Sharpness(edges, halves, vertices, _reduced(vertices))
+    return MeshState(topology, corner, edges, halves, vertices, _reduced(vertices))
 
 
 def _reduced(sharpness: FloatArray) -> FloatArray:
@@ -142,28 +182,23 @@ def _chaikin_halves(topology: Topology, edges: FloatArray, halves: FloatArray) -
     return np.where(shared, np.maximum(0.75 * edges[:, None] + 0.25 * mean_of_others - 1.0, 0.0), halves)
 
 
-def vertex_rules(
-    topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Blending weights (n,) of four rules, sum 1: smooth, crease before and after the step, corner [DKT98]_.
-
-    Vertex i (a UV) uses the edge sharpness around vertex ``follows[i]``.
-    """
-    ends, n = topology.edge_ends, topology.n_vertices
+def vertex_rules(state: MeshState) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Blending weights (n,) of four rules, sum 1: smooth, crease before and after the step, corner [DKT98]_."""
+    ends, n, follows = state.topology.edge_ends, state.topology.n_vertices, state.follows
 
     def per_vertex(of_ends: FloatArray | BoolArray) -> FloatArray:
         sums = np.bincount(ends.ravel(), of_ends.ravel().astype(np.float64), minlength=n)
         return np.asarray(sums, dtype=np.float64)
 
-    sharp = np.repeat(sharpness.edges[:, None] > 0, 2, axis=1)
-    fading = sharp & (sharpness.halves <= 0)
-    vertex_fades = (sharpness.vertices > 0) & (sharpness.after <= 0)
-    count, count_after = per_vertex(sharp), per_vertex(sharpness.halves > 0)
-    lost = per_vertex(fading * sharpness.edges[:, None]) + vertex_fades * sharpness.vertices
+    sharp = np.repeat(state.edges[:, None] > 0, 2, axis=1)
+    fading = sharp & (state.halves <= 0)
+    vertex_fades = (state.vertices > 0) & (state.after <= 0)
+    count, count_after = per_vertex(sharp), per_vertex(state.halves > 0)
+    lost = per_vertex(fading * state.edges[:, None]) + vertex_fades * state.vertices
     n_lost = per_vertex(fading) + vertex_fades
     if follows is not None:
         count, count_after, lost, n_lost = count[follows], count_after[follows], lost[follows], n_lost[follows]
-    before, after = _rule(count, sharpness.vertices), _rule(count_after, sharpness.after)
+    before, after = _rule(count, state.vertices), _rule(count_after, state.after)
     share = np.minimum(lost / np.maximum(n_lost, 1), 1.0)
     share[(before == after) | (before == SMOOTH)] = 1.0
     smooth, corner = (share * (before == rule) + (1 - share) * (after == rule) for rule in (SMOOTH, CORNER))
@@ -174,53 +209,3 @@ def _rule(count: FloatArray, sharpness: FloatArray) -> IndexArray:
     """Rule of every vertex from its number of sharp edges and its sharpness."""
     rule = np.where(count > 2, CORNER, np.where(count == 2, CREASE, SMOOTH))
     return np.asarray(np.where(sharpness > 0, CORNER, rule), dtype=np.int64)
-
-
-@dataclass(frozen=True, eq=False)
-class MeshState:
-    """Connectivity and sharpness of one level, of the mesh or of its UVs."""
-
-    topology: Topology
-    corner: BoolArray  # (n,) fixed boundary vertices
-    sharpness: Sharpness | None = None  # None without creases and corners inside
-    follows: IndexArray | None = None  # (n,) of UVs only, see `vertex_rules`
-
-
-def fixed_boundary_vertices(topology: Topology, scheme: Scheme) -> BoolArray:
-    """(n,) fixed boundary vertices: those with a single face, under ``edge_and_corner``."""
-    if scheme.boundary != "edge_and_corner":
-        return np.zeros(topology.n_vertices, dtype=bool)
-    return topology.boundary & (topology.valences == 1)
-
-
-def control_state(control: ControlMesh, scheme: Scheme) -> MeshState:
-    """State of level 0."""
-    topology = control_topology(control)
-    corner = fixed_boundary_vertices(topology, scheme)
-    edges, vertices = np.zeros(topology.n_edges), np.zeros(control.n_vertices)
-    if control.crease_edges is not None and control.crease_sharpness is not None:
-        keys, creases = (pair_keys(ends, control.n_vertices) for ends in (topology.edge_ends, control.crease_edges))
-        # Edges ascend, see `topology_of`.
-        edges[np.searchsorted(keys, creases)] = np.clip(control.crease_sharpness, 0.0, INFINITE_SHARPNESS)
-    if control.corner_vertices is not None and control.corner_sharpness is not None:
-        vertices[control.corner_vertices] = np.clip(control.corner_sharpness, 0.0, INFINITE_SHARPNESS)
-    if not (edges > 0).any() and not (vertices > 0).any():
-        return MeshState(topology, corner)
-    edges[topology.outer_edges] = INFINITE_SHARPNESS
-    vertices[corner] = INFINITE_SHARPNESS
-    return MeshState(topology, corner, with_halves(topology, edges, vertices, scheme.creasing))
-
-
-def next_state(state: MeshState, scheme: Scheme) -> MeshState:
-    """State of the next finer level."""
-    topology = split_topology(state.topology, scheme)
-    corner = np.zeros(topology.n_vertices, dtype=bool)
-    corner[: len(state.corner)] = state.corner
-    before = state.sharpness
-    if before is None:
-        return MeshState(topology, corner)
-    edges, vertices = np.zeros(topology.n_edges), np.zeros(topology.n_vertices)  # new elements are smooth
-    edges[: before.halves.size] = before.halves.ravel()  # edge e becomes 2e and 2e + 1
-    edges[topology.outer_edges] = INFINITE_SHARPNESS
-    vertices[: len(before.after)] = before.after
-    return MeshState(topology, corner, with_halves(topology, edges, vertices, scheme.creasing))

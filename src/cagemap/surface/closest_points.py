@@ -103,6 +103,16 @@ def closest_points(
     return triangle, barycentric, np.sqrt(squared)
 
 
+def closest_among(
+    corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
+) -> tuple[IndexArray, FloatArray]:
+    """Nearest of triangles ``candidates[starts[i, 0]:starts[i, 1]]`` to point i: triangle (m,), barycentric (m, 3)."""
+    triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
+    c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
+    _search_among(c, s, among, p, triangle, barycentric)
+    return triangle, barycentric
+
+
 def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
     """(t,) triangles in the order of the tree's leaves, along a space-filling curve."""
     leaves = len(triangles) // _LEAF_SIZE
@@ -116,16 +126,6 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
     return np.concatenate(
         [(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(leaves * _LEAF_SIZE, len(triangles))]
     )
-
-
-def closest_among(
-    corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
-) -> tuple[IndexArray, FloatArray]:
-    """Nearest of triangles ``candidates[starts[i, 0]:starts[i, 1]]`` to point i: triangle (m,), barycentric (m, 3)."""
-    triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
-    c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
-    _search_among(c, s, among, p, triangle, barycentric)
-    return triangle, barycentric
 
 
 def _morton_codes(points: FloatArray) -> IndexArray:
@@ -167,58 +167,6 @@ def _fill_boxes(positions, triangles, normals, corners, boxes):  # type: ignore[
             for i in range(first, first + 3):
                 boxes[node, i] = min(boxes[2 * node + 1, i], boxes[2 * node + 2, i])
                 boxes[node, 3 + i] = max(boxes[2 * node + 1, 3 + i], boxes[2 * node + 2, 3 + i])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-untyped-def]
-    """Lower bound of the cost in a box: squared distances to its positions and normals (2 - 2 cos = |n_q - n_p|^2)."""
-    dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
-    dy = max(boxes[node, 1] - y, 0.0, y - boxes[node, 4])
-    dz = max(boxes[node, 2] - z, 0.0, z - boxes[node, 5])
-    ex = max(boxes[node, 6] - nx, 0.0, nx - boxes[node, 9])
-    ey = max(boxes[node, 7] - ny, 0.0, ny - boxes[node, 10])
-    ez = max(boxes[node, 8] - nz, 0.0, nz - boxes[node, 11])
-    return dx * dx + dy * dy + dz * dz + weight2 * (ex * ex + ey * ey + ez * ez)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
-    """Barycentric coordinates of corners 1 and 2, squared distance (Ericson, Real-Time Collision Detection 5.1.5)."""
-    ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
-    abx, aby, abz = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay, corners[t, 1, 2] - az
-    acx, acy, acz = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay, corners[t, 2, 2] - az
-    px, py, pz = x - ax, y - ay, z - az
-    d1 = abx * px + aby * py + abz * pz
-    d2 = acx * px + acy * py + acz * pz
-    bx, by, bz = px - abx, py - aby, pz - abz
-    d3 = abx * bx + aby * by + abz * bz
-    d4 = acx * bx + acy * by + acz * bz
-    cx, cy, cz = px - acx, py - acy, pz - acz
-    d5 = abx * cx + aby * cy + abz * cz
-    d6 = acx * cx + acy * cy + acz * cz
-    va = d3 * d6 - d5 * d4
-    vb = d5 * d2 - d1 * d6
-    vc = d1 * d4 - d3 * d2
-    if d1 <= 0.0 and d2 <= 0.0:
-        v, w = 0.0, 0.0
-    elif d3 >= 0.0 and d4 <= d3:
-        v, w = 1.0, 0.0
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v, w = d1 / (d1 - d3), 0.0
-    elif d6 >= 0.0 and d5 <= d6:
-        v, w = 0.0, 1.0
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        v, w = 0.0, d2 / (d2 - d6)
-    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        v = 1.0 - w
-    else:
-        total = va + vb + vc
-        v, w = vb / total, vc / total
-    ex = px - v * abx - w * acx
-    ey = py - v * aby - w * acy
-    ez = pz - v * abz - w * acz
-    return v, w, ex * ex + ey * ey + ez * ez
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -304,3 +252,55 @@ def _search_among(corners, starts, candidates, points, triangle, barycentric):  
                 best_w = min(max(w, 0.0), 1.0 - best_v)
         triangle[i] = best_t
         barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-untyped-def]
+    """Lower bound of the cost in a box: squared distances to its positions and normals (2 - 2 cos = |n_q - n_p|^2)."""
+    dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
+    dy = max(boxes[node, 1] - y, 0.0, y - boxes[node, 4])
+    dz = max(boxes[node, 2] - z, 0.0, z - boxes[node, 5])
+    ex = max(boxes[node, 6] - nx, 0.0, nx - boxes[node, 9])
+    ey = max(boxes[node, 7] - ny, 0.0, ny - boxes[node, 10])
+    ez = max(boxes[node, 8] - nz, 0.0, nz - boxes[node, 11])
+    return dx * dx + dy * dy + dz * dz + weight2 * (ex * ex + ey * ey + ez * ez)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
+    """Barycentric coordinates of corners 1 and 2, squared distance (Ericson, Real-Time Collision Detection 5.1.5)."""
+    ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
+    abx, aby, abz = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay, corners[t, 1, 2] - az
+    acx, acy, acz = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay, corners[t, 2, 2] - az
+    px, py, pz = x - ax, y - ay, z - az
+    d1 = abx * px + aby * py + abz * pz
+    d2 = acx * px + acy * py + acz * pz
+    bx, by, bz = px - abx, py - aby, pz - abz
+    d3 = abx * bx + aby * by + abz * bz
+    d4 = acx * bx + acy * by + acz * bz
+    cx, cy, cz = px - acx, py - acy, pz - acz
+    d5 = abx * cx + aby * cy + abz * cz
+    d6 = acx * cx + acy * cy + acz * cz
+    va = d3 * d6 - d5 * d4
+    vb = d5 * d2 - d1 * d6
+    vc = d1 * d4 - d3 * d2
+    if d1 <= 0.0 and d2 <= 0.0:
+        v, w = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v, w = 1.0, 0.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v, w = d1 / (d1 - d3), 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        v, w = 0.0, 1.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        v, w = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        total = va + vb + vc
+        v, w = vb / total, vc / total
+    ex = px - v * abx - w * acx
+    ey = py - v * aby - w * acy
+    ez = pz - v * abz - w * acz
+    return v, w, ex * ex + ey * ey + ez * ez

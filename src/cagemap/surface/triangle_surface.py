@@ -25,6 +25,7 @@ from cagemap.surface.triangles import (
 )
 
 ON_EDGE = 1e-9  # barycentric coordinates up to this count as 0: the point is on an edge
+TOLERANCE = 1e-4  # of sums of barycentric coordinates and of negative ones: files may be in single precision
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,9 +134,6 @@ class TriangleSurface:
 
     def __repr__(self) -> str:
         return f"TriangleSurface({self.n} vertices, {len(self.triangles)} triangles)"
-
-
-TOLERANCE = 1e-4  # of sums of barycentric coordinates and of negative ones: files may be in single precision
 
 
 @dataclass(frozen=True, eq=False, repr=False)

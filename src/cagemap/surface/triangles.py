@@ -12,6 +12,10 @@ from cagemap.numerics.threads import row_slices
 
 CACHED = 16_384  # number of triangles or points whose arrays fit into a core's cache
 
+_MIN_AREA_SHARE = 1e-6  # a triangle of a polygon is flat or flipped if its area is below this share of the polygon's
+_MAX_CLIPPED_CORNERS = 200  # larger polygons are split into fans: clipping ears takes time cubic in the corners
+_MAX_CLIPPED_PAIRS = 1_000_000  # of corners, at a time: some 100 MB
+
 
 def mesh_arrays(
     positions: ArrayLike, faces: ArrayLike, corners: tuple[int, ...] = (3, 4)
@@ -52,11 +56,6 @@ def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray,
     step = np.arange(len(faces)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
     first = offsets[faces]
     return indices[np.column_stack([first, first + step, first + step + 1])], faces
-
-
-_MIN_AREA_SHARE = 1e-6  # a triangle of a polygon is flat or flipped if its area is below this share of the polygon's
-_MAX_CLIPPED_CORNERS = 200  # larger polygons are split into fans: clipping ears takes time cubic in the corners
-_MAX_CLIPPED_PAIRS = 1_000_000  # of corners, at a time: some 100 MB
 
 
 def polygon_triangles(positions: FloatArray, offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -68,9 +68,9 @@ class Bodies:
             return point_map
         control, triangles = refinement.control, point_map.target.triangles
         count, level = control.n_vertices, refinement.finest_level
-        linear = interpolate_linearly(control, control.face_indices, count, level, refinement.scheme)
+        matrix, corners = interpolate_linearly(control, control.face_indices, count, level, refinement.scheme)
         positions = np.zeros_like(point_map.target.positions)
-        positions[triangles] = (linear.matrix @ control.positions)[linear.corners]
+        positions[triangles] = (matrix @ control.positions)[corners]
         return PointMap(TriangleSurface.from_faces(positions, triangles), point_map.images)
 
     def rows(self, side: int) -> IndexArray:

@@ -13,7 +13,7 @@ from cagemap.character.own_parts import pairs_of_one_kind
 from cagemap.character.values import Part
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_name
+from cagemap.mesh.parts import extract_faces, numbers_on_part, passenger_word
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import IndexArray, members_of
 
@@ -82,8 +82,15 @@ def compare_parts(
 
 
 def named_pieces(mesh: ControlMesh) -> list[tuple[str, IndexArray]]:
-    """Name, by `passenger_name`, and faces of every connected piece."""
-    return [(passenger_name(mesh, faces), faces) for faces in members_of(face_components(mesh))]
+    """Passenger's name, or '', and faces of every connected piece."""
+    return [(_passenger_name(mesh, faces), faces) for faces in members_of(face_components(mesh))]
+
+
+def _passenger_name(mesh: ControlMesh, faces: IndexArray) -> str:
+    """The first name with a `passenger_word` of the faces' materials, groups and objects; '' without one."""
+    partitions = [(numbers[faces], names) for _, numbers, names in mesh.partitions[::-1] if numbers is not None]
+    stated = (names[number] for numbers, names in partitions for number in np.unique(numbers[numbers >= 0]))
+    return next(filter(passenger_word, stated), "")
 
 
 def part_of_faces(part: Part, faces: IndexArray, name: str | None = None) -> Part:

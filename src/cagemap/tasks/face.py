@@ -24,7 +24,7 @@ from cagemap.files.images.image import check_writable, write_image
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import read_whole
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import CagePoints, on_cage
+from cagemap.mesh.cage_points import CagePoints, on_cage
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import numbers_on_part, passenger_word
 from cagemap.mesh.topology import vertex_pieces

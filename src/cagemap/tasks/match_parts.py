@@ -9,13 +9,14 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import Renumbering
 from cagemap.mesh.checks import require_valid
-from cagemap.mesh.landmarks import Landmarks, Renumbering, check_landmarks
+from cagemap.mesh.faces import keep_faces
+from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.mesh.parts import (
     Part,
     connected_parts,
-    connected_pieces,
     extract_faces,
     find_part,
     list_parts,
@@ -25,8 +26,8 @@ from cagemap.mesh.parts import (
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.repairs import RepairedMesh, unrepaired
 from cagemap.mesh.schemes import Plain
-from cagemap.mesh.topology import handle_count
-from cagemap.numerics.arrays import IndexArray
+from cagemap.mesh.topology import face_components, handle_count
+from cagemap.numerics.arrays import IndexArray, members_of
 from cagemap.numerics.threads import in_threads
 from cagemap.subdivision import default_scheme
 
@@ -167,14 +168,21 @@ def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
 def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
     """One part per named material, split into numbered parts where not connected."""
     materials = [part for part in list_parts(mesh, pieces=False) if part.kind == "material"]
-    return tuple(piece for part in materials for piece in connected_pieces(mesh, part))
+    return tuple(piece for part in materials for piece in _connected_pieces(mesh, part))
 
 
 def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:
     """Parts of a side to pair: all pieces, its materials' faces, or the pieces of the part ``word``."""
     if word == EACH:
         return connected_parts(mesh)
-    return material_pieces(mesh) if word == MATERIAL else connected_pieces(mesh, find_part(mesh, word))
+    return material_pieces(mesh) if word == MATERIAL else _connected_pieces(mesh, find_part(mesh, word))
+
+
+def _connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
+    """Split a part into numbered connected parts; a connected part keeps its name."""
+    pieces = [part.faces[piece] for piece in members_of(face_components(keep_faces(mesh, part.faces)))]
+    names = [part.name] if len(pieces) == 1 else [f"{part.name} {number}" for number in range(len(pieces))]
+    return tuple(Part(part.kind, name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
 def _part_inputs(

@@ -15,7 +15,8 @@ from cagemap.files.result.manifest import MANIFEST, read_files
 from cagemap.files.text import require_suffix
 from cagemap.maps.pair import nearest_free_vertices
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import count_noun
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.tasks.progress import Stages, SummaryAndWarnings

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from cagemap.mesh.mesh_report import place_text
-from cagemap.numerics.arrays import FloatArray
-from cagemap.wrap import Residual, Wrapped
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.wrap import Wrapped
 
 # Least share of the target's area without a counterpart that is reported; less is single triangles.
 _MIN_LEFT_OUT = 5e-4
@@ -19,24 +19,27 @@ MAX_BODY_RATIO = 3.0
 
 def wrap_figures(wrapped: Wrapped) -> dict[str, Any]:
     """Figures of a wrap: distances in units of sqrt(area), their places in the source's file, folded faces."""
-    source = wrapped.closest.source
+    source, counterparts = wrapped.closest.source, np.flatnonzero(wrapped.has_counterpart)
+    on_wrap, on_source = (wrapped.distance, wrapped.surface), (wrapped.source_distance, source.positions / source.scale)
     return {
         "fit_level": wrapped.level,
-        "residual": _figures(wrapped.residual, wrapped.surface) | {"without_counterpart": wrapped.left_out},
-        "residual_with_counterpart": _figures(wrapped.followed, wrapped.surface),
-        "residual_from_source": _figures(wrapped.from_source, source.positions / source.scale),
+        "residual": _figures(*on_wrap, np.arange(len(wrapped.distance))) | {"without_counterpart": wrapped.left_out},
+        "residual_with_counterpart": _figures(*on_wrap, counterparts),
+        "residual_from_source": _figures(*on_source, np.arange(source.n)),
         "folded_faces": [int(face) for face in wrapped.folded],
     }
 
 
-def _figures(residual: Residual, positions: FloatArray) -> dict[str, Any]:
-    place = positions[residual.where].tolist()
+def _figures(distance: FloatArray, positions: FloatArray, vertices: IndexArray) -> dict[str, Any]:
+    """Figures of the distances of some vertices (k,), and the one with the largest."""
+    among = distance[vertices]
+    where = int(vertices[among.argmax()])
     return {
-        "mean": residual.mean,
-        "p99": residual.p99,
-        "max": residual.largest,
-        "where": residual.where,
-        "place": place,
+        "mean": float(among.mean()),
+        "p99": float(np.percentile(among, 99)),
+        "max": float(among.max()),
+        "where": where,
+        "place": positions[where].tolist(),
     }
 
 

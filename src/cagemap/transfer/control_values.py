@@ -19,7 +19,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import merged_corners
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.subdivision import Refinement
-from cagemap.subdivision.face_varying import LinearValues, corner_triangles, interpolate_linearly
+from cagemap.subdivision.face_varying import corner_triangles, interpolate_linearly
 from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer.attributes import largest_share
 from cagemap.transfer.baking import Transfer
@@ -29,6 +29,8 @@ from cagemap.transfer.locate import locate_centers, walk_from
 _SAME_UV = 1e-7
 # A seam lies between two walks' ends if more than this share of their weights differs.
 _MAX_WEIGHT_CHANGE = 0.5
+
+LinearValues = tuple[sparse.csr_array, IndexArray]  # of `interpolate_linearly`
 
 
 def control_weights(point_map: PointMap, target: Refinement, source: Refinement) -> sparse.csr_array:
@@ -40,7 +42,19 @@ def control_weights(point_map: PointMap, target: Refinement, source: Refinement)
     control = source.control
     linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.finest_level, source.scheme)
     rows = target.control.n_vertices
-    return linear.at(point_map.triangle[:rows], point_map.barycentric[:rows])
+    return _weights_at(linear, point_map.triangle[:rows], point_map.barycentric[:rows])
+
+
+def _weights_at(linear: LinearValues, triangle: IndexArray, barycentric: FloatArray) -> sparse.csr_array:
+    """(k, p0) weights of the control mesh's values at points of the surface."""
+    matrix, corners = linear
+    k = len(triangle)
+    places = corners[triangle].ravel(), np.arange(0, 3 * k + 1, 3)
+    rows = sparse.csr_array((barycentric.ravel(), *places), shape=(k, matrix.shape[0]))
+    weights = sparse.csr_array(rows @ matrix)
+    weights.eliminate_zeros()
+    weights.sort_indices()
+    return weights
 
 
 def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
@@ -71,12 +85,12 @@ def corner_weights(
     """
     control = target.control
     linear = interpolate_linearly(source.control, nodes, count, source.finest_level, source.scheme)
-    sides = triangle_neighbors(linear.corners)
+    sides = triangle_neighbors(linear[1])
     tips = corner_triangles(control, target.finest_level, target.scheme)
     centres = locate_centers(transfer.mapped)
     points = transfer.mapped.mapped[control.face_indices]
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[tips], points)
-    return linear.at(triangle, barycentric), _crossed_faces(transfer, control, linear, sides, centres)
+    return _weights_at(linear, triangle, barycentric), _crossed_faces(transfer, control, linear, sides, centres)
 
 
 def _crossed_faces(
@@ -93,7 +107,7 @@ def _crossed_faces(
     points = transfer.mapped.mapped[target.triangles[far]].mean(axis=1)
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[near], points)
     end_beyond = walk_from(transfer.mapped.frames, sides, centres[far], points)
-    apart = 0.5 * abs(linear.at(triangle, barycentric) - linear.at(*end_beyond)).sum(axis=1)
+    apart = 0.5 * abs(_weights_at(linear, triangle, barycentric) - _weights_at(linear, *end_beyond)).sum(axis=1)
     crossed = np.zeros(control.n_faces, dtype=np.bool_)
     crossed[face[near[apart > _MAX_WEIGHT_CHANGE]]] = True
     return crossed

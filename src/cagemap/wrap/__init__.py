@@ -2,7 +2,6 @@
 
 from cagemap.wrap.net import WrapConfig as WrapConfig
 from cagemap.wrap.net import level_mesh as level_mesh
-from cagemap.wrap.wrapping import Residual as Residual
 from cagemap.wrap.wrapping import Wrapped as Wrapped
 from cagemap.wrap.wrapping import missing_detail as missing_detail
 from cagemap.wrap.wrapping import wrap as wrap

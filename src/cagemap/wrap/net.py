@@ -30,8 +30,8 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.relax import label_patches
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.kinds import Config
+from cagemap.numerics.sparse import Factorization, factor
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.subdivision import Refinement, finest_mesh, level_triangles
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
@@ -202,7 +202,7 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class NetTerms:
-    """Terms of a net, or of a part of it, with moving points (m,)."""
+    """Terms of a net, or of a part of it, with moving points (m,): first of the images alone, see `at`."""
 
     samples: Samples
     config: WrapConfig
@@ -210,34 +210,40 @@ class NetTerms:
     transposed: sparse.csr_array  # (n, s): the transpose of the samples' rows
     laplacian: sparse.csr_array  # (n, n) of the net at rest
     factors: Factorization  # of the preconditioner, in the moving points
+    closest: SurfacePoints  # points of the source with the tangent planes (s,)
+    plane_weights: FloatArray  # (s,) of distances to tangent planes
+    image_weights: FloatArray  # (s,) of distances to images
+    right: FloatArray  # (n, 3) right side of the system
 
     @classmethod
     def build(
         cls, graph: ElasticGraph, samples: Samples, config: WrapConfig, moving: IndexArray | None = None
     ) -> NetTerms:
-        """Factor the preconditioner of all rounds; by default all points move."""
-        transposed = sparse.csr_array(samples.rows.T)
-        weighted = transposed @ sparse.diags_array(samples.weights) @ samples.rows
-        matrix = sparse.csr_array(weighted + config.fairness * graph.laplacian)
+        """Distances to images alone, with the preconditioner of all rounds; by default all points move."""
+        transposed, weights = sparse.csr_array(samples.rows.T), samples.weights
+        matrix = sparse.csr_array(
+            transposed @ sparse.diags_array(weights) @ samples.rows + config.fairness * graph.laplacian
+        )
         if moving is None:
             moving = np.arange(graph.n)
         else:
             matrix = matrix[moving][:, moving]
-        return cls(samples, config, moving, transposed, graph.laplacian, factor(sparse.csc_array(matrix)))
+        factors, right = factor(sparse.csc_array(matrix)), transposed @ (weights[:, None] * samples.images.positions)
+        planes = samples.images, np.zeros(len(weights)), weights
+        return cls(samples, config, moving, transposed, graph.laplacian, factors, *planes, right)
 
     def start(self, energy: ElasticEnergy) -> FloatArray:
         """(n, 3) net that minimises ``||S X - P||^2`` with a little energy; fixed points stay at rest."""
-        samples, moving, positions = self.samples, self.moving, energy.graph.positions.copy()
-        right = self.transposed @ (samples.weights[:, None] * samples.images.positions)
-        positions[moving] = self.factors.solve(right[moving])
+        positions = energy.graph.positions.copy()
+        positions[self.moving] = self.factors.solve(self.right[self.moving])
         elastic = self.config.fairness * energy.graph.divergence(energy.differentials(positions)[0])
-        positions[moving] = self.factors.solve((right + elastic)[moving])
+        positions[self.moving] = self.factors.solve((self.right + elastic)[self.moving])
         return positions
 
-    def at(self, positions: FloatArray, found: object, alpha: float, before: SampleTerms | None) -> SampleTerms:
+    def at(self, positions: FloatArray, found: object, alpha: float, before: NetTerms | None) -> NetTerms:
         """Terms with the source's closest points to positions (n, 3); other arguments are those of `minimise`."""
         samples, images = self.samples, self.samples.images
-        guess = images.triangle if before is None else before.closest.triangle
+        guess = (self if before is None else before).closest.triangle
         weight = self.config.normal_weight
         places = samples.rows @ positions
         closest = SurfacePoints.nearest(images.surface, places, images.normals, normal_weight=weight, guess=guess)
@@ -246,34 +252,16 @@ class NetTerms:
         image_weights = np.where(pinned, 1.0, self.config.anchor) * samples.weights
         heights = np.einsum("sd,sd->s", closest.normals, closest.positions)
         wanted = (plane_weights * heights)[:, None] * closest.normals + image_weights[:, None] * images.positions
-        return SampleTerms(self, closest, plane_weights, image_weights, self.transposed @ wanted)
-
-
-@dataclass(frozen=True, eq=False)
-class SampleTerms:
-    """Terms of one round, with weights (s,) of distances to tangent planes and to images."""
-
-    terms: NetTerms
-    closest: SurfacePoints  # of the source, to the samples
-    plane_weights: FloatArray
-    image_weights: FloatArray
-    right: FloatArray  # (n, 3) right side of the system
+        right = self.transposed @ wanted
+        return replace(self, closest=closest, plane_weights=plane_weights, image_weights=image_weights, right=right)
 
     def solver(self, alpha: float, stage: Stage, factors: object) -> tuple[None, Solve]:
         """The terms' own `solve`: the stiffness is the fairness in all rounds."""
         return None, self.solve
 
-    def times(self, positions: FloatArray) -> FloatArray:
-        """(n, 3) the system's matrix times positions (n, 3)."""
-        terms, normals = self.terms, self.closest.normals
-        places = terms.samples.rows @ positions
-        heights = np.einsum("sd,sd->s", normals, places)
-        wanted = (self.plane_weights * heights)[:, None] * normals + self.image_weights[:, None] * places
-        return np.asarray(terms.transposed @ wanted + terms.config.fairness * (terms.laplacian @ positions))
-
     def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
         """(n, 3) solution for a right side (n, 3) in the moving points, from positions (n, 3)."""
-        terms, moving, shape = self.terms, self.terms.moving, positions.shape
+        moving, shape = self.moving, positions.shape
 
         def times(flat: FloatArray) -> FloatArray:
             spread = np.zeros(shape)
@@ -284,13 +272,20 @@ class SampleTerms:
         step, _ = linalg.cg(
             operator(matvec=times),
             (right - self.times(positions))[moving].ravel(),
-            rtol=terms.config.accuracy,
-            maxiter=terms.config.max_steps,
-            M=operator(matvec=lambda flat: terms.factors.solve(flat.reshape(-1, 3)).ravel()),
+            rtol=self.config.accuracy,
+            maxiter=self.config.max_steps,
+            M=operator(matvec=lambda flat: self.factors.solve(flat.reshape(-1, 3)).ravel()),
         )
         moved = positions.copy()
         moved[moving] += step.reshape(-1, 3)
         return moved
+
+    def times(self, positions: FloatArray) -> FloatArray:
+        """(n, 3) the system's matrix times positions (n, 3)."""
+        normals, places = self.closest.normals, self.samples.rows @ positions
+        heights = np.einsum("sd,sd->s", normals, places)
+        wanted = (self.plane_weights * heights)[:, None] * normals + self.image_weights[:, None] * places
+        return np.asarray(self.transposed @ wanted + self.config.fairness * (self.laplacian @ positions))
 
 
 def counterpart_mask(point_map: PointMap, config: WrapConfig = WrapConfig()) -> FloatArray:

@@ -35,16 +35,6 @@ _RENDERED = 4  # least level of both surfaces for baking: most programs render a
 _MOST_BAKED_VERTICES = 1_500_000  # largest number of vertices for baking, whatever the level
 
 
-@dataclass(frozen=True)
-class Residual:
-    """Distances of a surface's vertices to another surface, as parts of sqrt(source area)."""
-
-    mean: float
-    p99: float
-    largest: float
-    where: int  #: vertex with the largest distance
-
-
 @dataclass(frozen=True, eq=False)
 class Wrapped:
     """Result of a wrap: the target's net in the source's shape."""
@@ -54,10 +44,9 @@ class Wrapped:
     surface: FloatArray  #: (n_f, 3) finest vertices of the net's refined surface
     closest: PointMap  #: closest points of the source to these vertices
     distance: FloatArray  #: (n_f,) their distances, as parts of sqrt(source area)
+    source_distance: FloatArray  #: (n_2,) distances of the source's vertices to the wrapped surface, as such parts
     follow: FloatArray  #: (n_f,) weight with which each vertex followed the source, from 0 to 1
-    residual: Residual  #: of all finest vertices to the source
-    followed: Residual  #: of finest vertices with a counterpart, to the source
-    from_source: Residual  #: of all vertices of the source to the wrapped surface
+    has_counterpart: NDArray[np.bool_]  #: (n_f,) whether a vertex has a counterpart on the source
     left_out: float  #: share of the target's area that has no counterpart
     folded: IndexArray  #: (k,) faces of the net that are folded against their refined surface, and were not at rest
     aspect: float  #: 99th percentile of faces' longest by shortest edge, divided by that at rest
@@ -103,24 +92,23 @@ def wrap(
         weights = mask_task.result() * finest_follow(target, follow)
     samples = Samples.choose(net, point_map.images, weights, point_map.target.boundary_vertices, config)
     adjust = keep_positions if symmetry is None else partial(symmetrize, symmetry)
-    follows = weights >= config.min_follow
-    if not follows.any():
+    has_counterpart = weights >= config.min_follow
+    if not has_counterpart.any():
         raise ParameterError(NOTHING_FOLLOWS)
     source = point_map.source
 
-    def fitted(config: WrapConfig) -> tuple[Residual, FloatArray, Closest]:
+    def fitted(config: WrapConfig) -> tuple[FloatArray, Closest]:
         positions = mend(net, samples, config, fit_net(net, samples, config, adjust), adjust)
-        closest = closest_points(source.tree, net.surface(positions), guess=point_map.triangle)
-        return measure_residual(closest[2], follows), positions, closest
+        return positions, closest_points(source.tree, net.surface(positions), guess=point_map.triangle)
 
-    first = fitted(config)
-    if first[0].p99 > config.max_distance and config.anchor > 0:
+    best = fitted(config)
+    if np.percentile(best[1][2][has_counterpart], 99) > config.max_distance and config.anchor > 0:
         anchored = fitted(replace(config, anchor=config.stronger_anchor * config.anchor))
-        first = min(first, anchored, key=lambda fit: fit[0].mean)
-    followed, positions, (triangle, barycentric, distance) = first
+        best = min(best, anchored, key=lambda fit: float(fit[1][2][has_counterpart].mean()))
+    positions, (triangle, barycentric, distance) = best
     surface = net.surface(positions)
     triangles = point_map.target.triangles
-    _, _, back = closest_points(TriangleSurface(surface, triangles).tree, source.positions)
+    _, _, source_distance = closest_points(TriangleSurface(surface, triangles).tree, source.positions)
     at_rest = net.graph.positions
     folded = folded_faces(net, positions) & ~folded_faces(net, at_rest)
     aspects = [np.percentile(face_aspects(net.mesh, x), 99) for x in (positions, at_rest)]
@@ -130,22 +118,12 @@ def wrap(
         surface=surface / source.scale,
         closest=PointMap.from_arrays(point_map.target, source, triangle, barycentric),
         distance=distance,
+        source_distance=source_distance,
         follow=weights,
-        residual=measure_residual(distance),
-        followed=followed,
-        from_source=measure_residual(back),
-        left_out=float(point_map.target.areas @ (~follows)[triangles].mean(axis=1)),
+        has_counterpart=has_counterpart,
+        left_out=float(point_map.target.areas @ (~has_counterpart)[triangles].mean(axis=1)),
         folded=np.flatnonzero(folded),
         aspect=float(aspects[0] / aspects[1]),
-    )
-
-
-def measure_residual(distance: FloatArray, counted: NDArray[np.bool_] | None = None) -> Residual:
-    """Residual figures of distances (n,), of all vertices or of those counted."""
-    vertices = np.arange(len(distance)) if counted is None else np.flatnonzero(counted)
-    among = distance[vertices]
-    return Residual(
-        float(among.mean()), float(np.percentile(among, 99)), float(among.max()), int(vertices[among.argmax()])
     )
 
 

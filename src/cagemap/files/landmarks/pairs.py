@@ -14,7 +14,8 @@ from cagemap.files.atomic import write_whole
 from cagemap.files.landmarks.curves import pair_curves, pair_entries
 from cagemap.files.ownership import mark
 from cagemap.files.text import read_text, whole_characters
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import shown
 from cagemap.numerics.kinds import kinds_checked
 

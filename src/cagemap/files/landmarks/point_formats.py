@@ -17,8 +17,8 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.landmarks.curves import mesh_entries
 from cagemap.files.ownership import mark
+from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.curves import NamedCurve, NamedPoints
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.closest_points import build_tree, closest_points

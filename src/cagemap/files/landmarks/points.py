@@ -24,7 +24,7 @@ from cagemap.files.ownership import MARKED
 from cagemap.files.schema import parse_json
 from cagemap.files.text import read_bytes, read_text, whole_characters
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import NamedCurve, NamedPoints
+from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.faces import cage_triangles
 from cagemap.numerics.arrays import IndexArray
 

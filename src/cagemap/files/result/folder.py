@@ -42,7 +42,8 @@ from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
-from cagemap.paper.descriptors import (
+from cagemap.paper.constraints import (
     choose_filters,
     heat_filters,
     heat_times,

@@ -40,6 +40,12 @@ SparseMatrix = sparse.csr_array | sparse.csc_array
 _MAX_MINIMUM_DEGREE_ROWS = 30_000  # rows up to which SuperLU orders by minimum degree, slow on large meshes
 _MAX_BACKWARD_ERROR = 1e-10  # relative; above it the signs of diagonal pivots do not give the inertia
 _MAX_RSLAB_THREADS = 4
+_WARNING_LOCK = Lock()  # threads factor both surfaces of a pair at the same time
+
+# The result has the block's type; float32 is enough for nearest neighbours.
+RealArray = TypeVar("RealArray", NDArray[np.float64], NDArray[np.float32], NDArray[Any])
+_MIN_PARALLEL_WORK = 2_000_000  # multiplications below which threads cost more than they save
+_MAX_THREADS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +105,6 @@ def _rslab_factors(matrix: SparseMatrix) -> bool:
         with _WARNING_LOCK:
             _warn_without_rslab()
     return rslab is not None
-
-
-_WARNING_LOCK = Lock()  # threads factor both surfaces of a pair at the same time
 
 
 @cache  # log once per process
@@ -166,11 +169,18 @@ def _singular_refused(matrix: SparseMatrix) -> Iterator[None]:
         ) from error
 
 
-# The result has the block's type; float32 is enough for nearest neighbours.
-RealArray = TypeVar("RealArray", NDArray[np.float64], NDArray[np.float32], NDArray[Any])
-
-_MIN_PARALLEL_WORK = 2_000_000  # multiplications below which threads cost more than they save
-_MAX_THREADS = 8
+def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
+    """Product A X in C order of CSR A and dense X (m, q), faster than ``@``, and the same for any threads."""
+    dtype = np.float32 if block.dtype == np.float32 else np.float64
+    values = read_only(np.ascontiguousarray(block, dtype=dtype))
+    pattern = read_only(matrix.indptr), read_only(matrix.indices)
+    entries = read_only(matrix.data.astype(dtype, copy=False))
+    out = np.empty((matrix.shape[0], values.shape[1]), dtype=dtype)
+    threads = 1 if matrix.nnz * values.shape[1] < _MIN_PARALLEL_WORK else min(_MAX_THREADS, core_count())
+    shares: NDArray[np.float64] = np.linspace(0, matrix.nnz, threads + 1)  # row ranges of equal nonzeros
+    bounds: list[int] = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), matrix.shape[0]]
+    in_threads(lambda rows: _multiply_rows(*pattern, entries, values, *rows, out), list(pairwise(bounds)))
+    return out
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -191,20 +201,6 @@ def _multiply_rows(indptr, indices, data, block, first, last, out):  # type: ign
             a, p = data[entry], indices[entry]
             for j in range(columns):
                 out[row, j] += a * block[p, j]
-
-
-def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
-    """Product A X in C order of CSR A and dense X (m, q), faster than ``@``, and the same for any threads."""
-    dtype = np.float32 if block.dtype == np.float32 else np.float64
-    values = read_only(np.ascontiguousarray(block, dtype=dtype))
-    pattern = read_only(matrix.indptr), read_only(matrix.indices)
-    entries = read_only(matrix.data.astype(dtype, copy=False))
-    out = np.empty((matrix.shape[0], values.shape[1]), dtype=dtype)
-    threads = 1 if matrix.nnz * values.shape[1] < _MIN_PARALLEL_WORK else min(_MAX_THREADS, core_count())
-    shares: NDArray[np.float64] = np.linspace(0, matrix.nnz, threads + 1)  # row ranges of equal nonzeros
-    bounds: list[int] = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), matrix.shape[0]]
-    in_threads(lambda rows: _multiply_rows(*pattern, entries, values, *rows, out), list(pairwise(bounds)))
-    return out
 
 
 def is_compiled() -> bool:

@@ -31,6 +31,7 @@ MAX_DISTANCE = 0.1  # largest distance of a position from its mesh, in units of 
 # Positions whose median distance exceeds this share of their own bounding-box diagonal are in another unit. Needed as a
 # body scaled by 0.01 about a point inside it is near the mesh everywhere.
 MAX_MEDIAN_DISTANCE = 0.25
+MIN_CURVE_EXTENT = 1e-9  # least extent of a curve, of the mesh's; shorter ones have no direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,76 +109,6 @@ class CagePoints:
         return cls(np.concatenate([part.corners for part in points]), np.concatenate([part.weights for part in points]))
 
 
-def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
-    """Place points on a control mesh: at vertices, or nearest to positions; InvalidLandmarksError where far off."""
-    at_vertices = CagePoints.of_vertices(np.maximum(points.vertices, 0))
-    if fault := outside_fault(at_vertices, points.names, mesh, "vertices of landmark points"):
-        raise InvalidLandmarksError(fault)
-    corners, weights = at_vertices.corners, at_vertices.weights
-    free = np.flatnonzero(points.vertices < 0)
-    if len(free):
-        triangles, _ = cage_triangles(mesh)
-        held_by, barycentric, distances = closest_points(build_tree(mesh.positions, triangles), points.positions[free])
-        size = box_diagonal(mesh.positions)
-        far = np.flatnonzero(distances > MAX_DISTANCE * size)
-        if len(far):
-            listed = first_few(f"{points.names[free[i]]} ({distances[i]:.3g})" for i in far)
-            raise InvalidLandmarksError(
-                f"expected landmark points on or near {mesh.name}, whose size is {size:.3g}, got distances {listed}. "
-                "Give the points of this mesh, in its unit and axis order; are target and source exchanged?"
-            )
-        spread, typical = box_diagonal(points.positions[free]), float(np.median(distances))
-        if len(free) >= 3 and typical > max(MAX_MEDIAN_DISTANCE * spread, 0.1 * MAX_DISTANCE * size):
-            raise InvalidLandmarksError(
-                f"expected landmark points on {mesh.name}, whose size is {size:.3g}, got {len(free)} within "
-                f"{spread:.3g} of each other that are typically {typical:.3g} away from it. They look like points in "
-                "another unit: scale them as the mesh is."
-            )
-        corners[free], weights[free] = triangles[held_by], barycentric
-    return CagePoints(corners, weights)
-
-
-def outside_fault(points: CagePoints, names: Sequence[str], mesh: ControlMesh, what: str) -> str:
-    """Error message that lists the named points at vertices that the mesh does not have; '' if there are none."""
-    outside = np.flatnonzero(((points.corners < 0) | (points.corners >= mesh.n_vertices)).any(axis=1))
-    if not len(outside):
-        return ""
-    listed = first_few(f"{names[i]} ({points.heaviest_corners[i]})" for i in outside.tolist())
-    return (
-        f"expected {what} from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. Numbers are "
-        "0-based; check that target and source are not exchanged and that the mesh was not renumbered."
-    )
-
-
-def repeated_fault(names: Sequence[str], what: str) -> str:
-    """Error message that lists the names that are repeated; '' if all differ."""
-    again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
-    return f"expected every {what} once, got these again: {first_few(again)}. Rename them." if again else ""
-
-
-def shared_names(
-    target: Sequence[str], source: Sequence[str], *, what: str, noted: str
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names on both sides, in the target's order, and notes on others; InvalidLandmarksError for a repeated name."""
-    sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
-    for side, names, _ in sides:
-        if fault := repeated_fault(names, "name"):
-            raise InvalidLandmarksError(f"{side} {what}: {fault}")
-    notes = tuple(
-        f"{noted} only on the {side}, which were not used: {first_few(only)}"
-        for (side, own_names, _), (_, _, other_names) in (sides, sides[::-1])
-        if (only := [name for name in own_names if name not in other_names])
-    )
-    return tuple(name for name in target if name in sides[1][2]), notes
-
-
-def find_repeats(values: NDArray[Any]) -> IndexArray:
-    """Indices of values that occurred before."""
-    return np.setdiff1d(np.arange(len(values)), np.unique(values, return_index=True)[1])
-
-
-MIN_CURVE_EXTENT = 1e-9  # least extent of a curve, of the mesh's; shorter ones have no direction
-
 P = TypeVar("P", CagePoints, SurfacePoints)
 
 
@@ -237,6 +168,35 @@ class CurvePair(Generic[P]):
 
 
 CageCurvePairs = tuple[CurvePair[CagePoints], ...]  # of two control meshes
+
+
+def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
+    """Place points on a control mesh: at vertices, or nearest to positions; InvalidLandmarksError where far off."""
+    at_vertices = CagePoints.of_vertices(np.maximum(points.vertices, 0))
+    if fault := outside_fault(at_vertices, points.names, mesh, "vertices of landmark points"):
+        raise InvalidLandmarksError(fault)
+    corners, weights = at_vertices.corners, at_vertices.weights
+    free = np.flatnonzero(points.vertices < 0)
+    if len(free):
+        triangles, _ = cage_triangles(mesh)
+        held_by, barycentric, distances = closest_points(build_tree(mesh.positions, triangles), points.positions[free])
+        size = box_diagonal(mesh.positions)
+        far = np.flatnonzero(distances > MAX_DISTANCE * size)
+        if len(far):
+            listed = first_few(f"{points.names[free[i]]} ({distances[i]:.3g})" for i in far)
+            raise InvalidLandmarksError(
+                f"expected landmark points on or near {mesh.name}, whose size is {size:.3g}, got distances {listed}. "
+                "Give the points of this mesh, in its unit and axis order; are target and source exchanged?"
+            )
+        spread, typical = box_diagonal(points.positions[free]), float(np.median(distances))
+        if len(free) >= 3 and typical > max(MAX_MEDIAN_DISTANCE * spread, 0.1 * MAX_DISTANCE * size):
+            raise InvalidLandmarksError(
+                f"expected landmark points on {mesh.name}, whose size is {size:.3g}, got {len(free)} within "
+                f"{spread:.3g} of each other that are typically {typical:.3g} away from it. They look like points in "
+                "another unit: scale them as the mesh is."
+            )
+        corners[free], weights[free] = triangles[held_by], barycentric
+    return CagePoints(corners, weights)
 
 
 def paired_curves(
@@ -312,3 +272,42 @@ def _side_faults(side: str, names: list[str], curves: list[Curve[CagePoints]], m
         f"for {first_few(unjoined)}. Give every vertex along the curve, or places in space.": unjoined,
     }
     return [fault for fault, found in faults.items() if found]
+
+
+def outside_fault(points: CagePoints, names: Sequence[str], mesh: ControlMesh, what: str) -> str:
+    """Error message that lists the named points at vertices that the mesh does not have; '' if there are none."""
+    outside = np.flatnonzero(((points.corners < 0) | (points.corners >= mesh.n_vertices)).any(axis=1))
+    if not len(outside):
+        return ""
+    listed = first_few(f"{names[i]} ({points.heaviest_corners[i]})" for i in outside.tolist())
+    return (
+        f"expected {what} from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. Numbers are "
+        "0-based; check that target and source are not exchanged and that the mesh was not renumbered."
+    )
+
+
+def repeated_fault(names: Sequence[str], what: str) -> str:
+    """Error message that lists the names that are repeated; '' if all differ."""
+    again = [names[i] for i in find_repeats(np.array(names, dtype=object))]
+    return f"expected every {what} once, got these again: {first_few(again)}. Rename them." if again else ""
+
+
+def shared_names(
+    target: Sequence[str], source: Sequence[str], *, what: str, noted: str
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names on both sides, in the target's order, and notes on others; InvalidLandmarksError for a repeated name."""
+    sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
+    for side, names, _ in sides:
+        if fault := repeated_fault(names, "name"):
+            raise InvalidLandmarksError(f"{side} {what}: {fault}")
+    notes = tuple(
+        f"{noted} only on the {side}, which were not used: {first_few(only)}"
+        for (side, own_names, _), (_, _, other_names) in (sides, sides[::-1])
+        if (only := [name for name in own_names if name not in other_names])
+    )
+    return tuple(name for name in target if name in sides[1][2]), notes
+
+
+def find_repeats(values: NDArray[Any]) -> IndexArray:
+    """Indices of values that occurred before."""
+    return np.setdiff1d(np.arange(len(values)), np.unique(values, return_index=True)[1])
