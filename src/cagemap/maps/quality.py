@@ -178,9 +178,14 @@ def trust_field(
     target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
     """(n1,) means of triangles' ``min(1, (TRUSTED_STRETCH / d)^2)``, d their `distortion`, or 0 where flipped."""
-    per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
-    areas = target.areas
-    weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
+    weights, areas = np.empty((len(flipped), 2)), target.areas
+
+    def fill(part: slice) -> None:
+        trusted = np.minimum(1.0, (TRUSTED_STRETCH / distortion((sigma[0][part], sigma[1][part]))) ** 2)
+        weights[part, 0], weights[part, 1] = areas[part] * np.where(flipped[part], 0.0, trusted), areas[part]
+
+    in_threads(fill, row_slices(len(flipped), CACHED))
+    weighted, total = corner_sums(target.triangles, weights, target.n).T
     return np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
 
 
@@ -213,30 +218,33 @@ def measure_quality(
 ) -> QualityFigures:
     """Measure a map, shares weighted by masks; on dense targets coverage is that of ``coarse_triangles`` (t, 3)."""
     target, images = point_map.target, point_map.images
-    image, normals, counted = images.positions, _source_normals(images), masks.joint(point_map)
+    image, counted = images.positions, masks.joint(point_map)
     is_joined = bool(counted.any())
     counted = counted if is_joined else masks.of_target(target.n)
-    areas = target.areas * counted[target.triangles].mean(axis=1)
-    sized = target.positions * masks.length_ratio(target, point_map.source)  # the shared area at the source's size
+    ratio = masks.length_ratio(target, point_map.source)
+    sized = target.positions if ratio == 1.0 else ratio * target.positions  # the shared area at the source's size
 
-    flipped, stretch = np.empty(len(areas), dtype=np.bool_), np.empty((2, len(areas)))
+    areas, stretch = np.empty(len(target.triangles)), np.empty((2, len(target.triangles)))
     largest, smallest = stretch
 
     def fill(part: slice) -> None:
         chosen = target.triangles[part]
-        flipped[part] = inverted_triangles(image, normals, chosen)
+        areas[part] = target.areas[part] * counted[chosen].mean(axis=1)
         stretch[:, part] = stretches(sized, image, chosen)
 
     with ThreadPool(1) as pool:
         asked = target.triangles if coarse_triangles is None else coarse_triangles
         covered = pool.submit(covered_share, target.positions, image, asked, point_map.source, masks=masks)
+        flipped = inverted_triangles(image, _source_normals(images), target.triangles)
         in_threads(fill, row_slices(len(areas), CACHED))
-        aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field(target, (largest, smallest), flipped)
         coverage = covered.result()
+    dirichlet = float(0.5 * (areas * (largest**2 + smallest**2)).sum() / areas.sum())
+    aspect = largest / np.maximum(smallest, 1e-9)
+    largest *= smallest  # now ratios of areas: in place, as dense targets have many triangles
     distributions = [
         (values, areas, [float(p) for p in PERCENTILES[name]])
-        for name, values in (("area_ratio", largest * smallest), ("aspect_ratio", aspect))
+        for name, values in (("area_ratio", largest), ("aspect_ratio", aspect))
     ]
     area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), distributions)
     vertex_areas = target.vertex_areas * counted / (target.vertex_areas @ counted)
@@ -244,7 +252,7 @@ def measure_quality(
         landmark_errors=np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks),
         flipped_area=float(areas[flipped].sum() / areas.sum()),
         coverage=coverage,
-        dirichlet=float(0.5 * (areas * (largest**2 + smallest**2)).sum() / areas.sum()),
+        dirichlet=dirichlet,
         area_ratios=area_ratios,
         aspect_ratios=aspect_ratios,
         trust=trust,

@@ -112,10 +112,12 @@ def label_patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     return label_components(heads[joined], tails[joined], n)
 
 
-def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: BoolArray) -> sparse.csr_array:
+def convex_rows(
+    rows: NDArray[np.integer], columns: NDArray[np.integer], weights: FloatArray, inside: BoolArray
+) -> sparse.csr_array:
     """(v, n) convex combinations for the v vertices inside: weights, duplicates summed, rows scaled to sum 1."""
-    kept = inside[rows]
-    number = np.cumsum(inside) - 1
+    kept = slice(None) if inside.all() else inside[rows]  # a slice copies nothing
+    number = np.cumsum(inside, dtype=np.int32) - 1
     shape = (int(inside.sum()), len(inside))
     matrix = sparse.csr_array((weights[kept], (number[rows[kept]], columns[kept])), shape=shape)
     return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix)
@@ -123,5 +125,6 @@ def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, insi
 
 def neighbour_means(triangles: IndexArray, inside: BoolArray) -> sparse.csr_array:
     """(v, n) matrix that averages the neighbours of every inside vertex."""
-    rows, columns = triangles[:, [0, 1, 2, 0, 1, 2]].ravel(), triangles[:, [1, 2, 0, 2, 0, 1]].ravel()
+    corners = triangles.astype(np.int32)
+    rows, columns = corners[:, [0, 1, 2, 0, 1, 2]].ravel(), corners[:, [1, 2, 0, 2, 0, 1]].ravel()
     return convex_rows(rows, columns, np.ones(len(rows)), inside)
