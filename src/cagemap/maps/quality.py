@@ -31,6 +31,7 @@ FLIPPED_TOLERANCE = 5e-3  # of the target's area
 COVERAGE_TOLERANCE = 0.98  # of the source's area
 TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry) a map is fully trusted
 COVERAGE_SAMPLES = 50_000
+PERCENTILE_BINS = 4096
 ON_SURFACE = 1e-6  # of sqrt(area): closer points are on the surface
 # Warning about masks that leave no part of the map.
 NOTHING_JOINED = (
@@ -178,15 +179,17 @@ def trust_field(
     target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
     """(n1,) means of triangles' ``min(1, (TRUSTED_STRETCH / d)^2)``, d their `distortion`, or 0 where flipped."""
-    weights, areas = np.empty((len(flipped), 2)), target.areas
+    trusted, areas = np.empty((len(flipped), 1)), target.areas
 
     def fill(part: slice) -> None:
-        trusted = np.minimum(1.0, (TRUSTED_STRETCH / distortion((sigma[0][part], sigma[1][part]))) ** 2)
-        weights[part, 0], weights[part, 1] = areas[part] * np.where(flipped[part], 0.0, trusted), areas[part]
+        shares = np.minimum(1.0, (TRUSTED_STRETCH / distortion((sigma[0][part], sigma[1][part]))) ** 2)
+        trusted[part, 0] = areas[part] * np.where(flipped[part], 0.0, shares)
 
     in_threads(fill, row_slices(len(flipped), CACHED))
-    weighted, total = corner_sums(target.triangles, weights, target.n).T
-    return np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
+    weighted = corner_sums(target.triangles, trusted, target.n)[:, 0]
+    total = 3.0 * areas.sum() * target.vertex_areas
+    means = np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
+    return np.minimum(means, 1.0, out=means)
 
 
 @kinds_checked
@@ -224,12 +227,12 @@ def measure_quality(
     ratio = masks.length_ratio(target, point_map.source)
     sized = target.positions if ratio == 1.0 else ratio * target.positions  # the shared area at the source's size
 
-    areas, stretch = np.empty(len(target.triangles)), np.empty((2, len(target.triangles)))
-    largest, smallest = stretch
+    whole = bool((counted == 1.0).all())
+    areas = target.areas if whole else target.areas * counted[target.triangles].mean(axis=1)
+    largest, smallest = stretch = np.empty((2, len(areas)))
 
     def fill(part: slice) -> None:
         chosen = target.triangles[part]
-        areas[part] = target.areas[part] * counted[chosen].mean(axis=1)
         stretch[:, part] = stretches(sized, image, chosen)
 
     with ThreadPool(1) as pool:
@@ -277,13 +280,21 @@ def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ..
 
 
 def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequence[float]) -> FloatArray:
-    """Percentiles of values, weighted."""
-    order = np.argsort(values)
-    cumulative = weights.take(order)
-    np.cumsum(cumulative, out=cumulative)
-    cumulative /= weights.sum()
-    places = np.minimum(np.searchsorted(cumulative, np.asarray(percents) / 100), len(values) - 1)
-    return np.asarray(values[order[places]])
+    """Percentiles of values, weighted. Only bins between values of a sample that contain a percentile are sorted."""
+    ends = np.sort(values[:: len(values) // PERCENTILE_BINS + 1])
+    weight_of_bins = np.zeros(len(ends) + 1)
+    for part in row_slices(len(values), CACHED):
+        weight_of_bins += np.bincount(np.searchsorted(ends, values[part]), weights[part], len(ends) + 1)
+    cumulative = np.cumsum(weight_of_bins)
+    found = []
+    for goal in np.asarray(percents) / 100 * cumulative[-1]:
+        k = min(int(np.searchsorted(cumulative, goal)), len(ends))
+        low, high = ends[k - 1] if k else -np.inf, ends[k] if k < len(ends) else np.inf
+        inside = np.flatnonzero((values > low) & (values <= high))
+        inside = inside[np.argsort(values[inside])]
+        reached = np.searchsorted(np.cumsum(weights[inside]), goal - (cumulative[k - 1] if k else 0.0))
+        found.append(values[inside[min(int(reached), len(inside) - 1)]])
+    return np.array(found)
 
 
 def _known(value: float) -> float | None:

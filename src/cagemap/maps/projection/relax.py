@@ -43,12 +43,26 @@ def relax_folds(
     vertices, local_triangles = np.flatnonzero(used), (np.cumsum(used) - 1)[triangles[region]]
     # Folds may spread while they are relaxed. Border vertices stay fixed: some of their triangles are outside.
     movable = inner[vertices] & ~np.isin(vertices, held)
-    local, folded = images.at(vertices), flipped[region]
-    means = neighbour_means(local_triangles, np.ones(len(vertices), dtype=bool))
+    local, flipped[region] = _relax_region(
+        images.at(vertices), local_triangles, flipped[region], movable, normal_weight, config
+    )
+    return images.replaced(vertices, local), flipped
+
+
+def _relax_region(
+    local: SurfacePoints,
+    local_triangles: IndexArray,
+    folded: BoolArray,
+    movable: BoolArray,
+    normal_weight: float,
+    config: ProjectionConfig,
+) -> tuple[SurfacePoints, BoolArray]:
+    """New images of the vertices of a region, and which of its triangles are still flipped."""
+    means = neighbour_means(local_triangles, np.ones(len(local), dtype=bool))
     places = np.hstack([local.positions, local.normals])
     for ring in config.rings:
         before = folded.sum()
-        inside = flipped_rings(local_triangles, folded, ring, len(vertices)) & movable
+        inside = flipped_rings(local_triangles, folded, ring, len(local)) & movable
         moved = np.flatnonzero(inside)
         rows, tried = means[moved], places.copy()
         for _ in range(config.sweeps):
@@ -69,8 +83,7 @@ def relax_folds(
         places[kept] = tried[kept]
         if folded.sum() > (1.0 - config.min_gain) * before or not folded.any():
             break
-    flipped[region] = folded
-    return images.replaced(vertices, local), flipped
+    return local, folded
 
 
 def flipped_rings(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
