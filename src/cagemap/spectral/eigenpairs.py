@@ -92,14 +92,16 @@ def band_pairs(
     *,
     accuracy: float = 1e-9,
     like: Factorization | None = None,
+    inverse_iteration: bool = False,
 ) -> EigenPairs:
     """Eigenpairs first..last-1 of W (n, n) and M, complete for any multiplicity.
 
     Small problems are solved densely, others by block shift-invert Lanczos around a shift sigma inside the band. The
     inertia of W - sigma M gives the pairs' indices, that of W - tau M, with tau in gaps at both ends of the band,
     proves that none was missed. ``accuracy`` is relative to each eigenvalue of the inverted operator; the ordering of
-    ``like``, factors of a matrix with the pattern of W - sigma M, is reused. ParameterError if
-    the range is empty or not within the spectrum; SolverError if the iteration does not converge or misses eigenvalues.
+    ``like``, factors of a matrix with the pattern of W - sigma M, is reused. ``inverse_iteration``: see
+    `shift_invert_lanczos`. ParameterError if the range is empty or not within the spectrum; SolverError if the
+    iteration does not converge or misses eigenvalues.
     """
     n = stiffness.shape[0]
     if not 0 <= first < last <= n:
@@ -133,6 +135,7 @@ def band_pairs(
             accuracy=accuracy,
             loose=loose,
             dtype=dtype,
+            inverse_iteration=inverse_iteration,
         )
         if not any(in_threads(partial(missed_pairs, stiffness, mass, values, low, shifted), (first, last))):
             chosen = slice(first - low, last - low)
@@ -284,6 +287,7 @@ def shift_invert_lanczos(
     accuracy: float = 1e-9,
     loose: tuple[int, int] = (0, 0),
     dtype: Precision = np.float64,
+    inverse_iteration: bool = False,
 ) -> tuple[FloatArray, Block]:
     """Ascending eigenvalues (below + above,) on both sides of a shift, and their M-orthonormal eigenvectors.
 
@@ -291,7 +295,9 @@ def shift_invert_lanczos(
     O(n m^2), m about 1.6 times the number of wanted pairs. ``block_size`` is the highest multiplicity that is certainly
     found. ``accuracy`` is the largest residual of a pair of the inverted operator relative to its eigenvalue 1 /
     (lambda - sigma), but `SolverConfig.loose` for the ``loose`` outermost pairs below and above. The Krylov space is in
-    ``dtype``; solves are in double. SolverError if the Krylov space reaches its largest size without convergence.
+    ``dtype``; solves are in double. With ``inverse_iteration`` the solves are kept, and each vector is that after one
+    inverse iteration, in double and M-orthonormal to rounding in ``dtype``: it has no rounding error of high frequency.
+    SolverError if the Krylov space reaches its largest size without convergence.
     """
     n = mass.shape[0]
     rng = np.random.default_rng(SOLVER.seed)
@@ -301,6 +307,7 @@ def shift_invert_lanczos(
     capacity = min(n, 4 * wanted + 12 * width) // width * width
     basis = np.empty((n, capacity + width), dtype, order="F")
     mass_basis = np.empty((n, capacity + width), dtype, order="F")
+    solves: list[FloatArray] = []
     projected = np.zeros((capacity, capacity))
     block, mass_block, _ = orthonormal_block(block, mass, rng, basis[:, :0], mass_basis[:, :0])
     basis[:, :width], mass_basis[:, :width] = block, mass_block
@@ -311,7 +318,10 @@ def shift_invert_lanczos(
     allowed[below - min(loose[0], below) : below + min(loose[1], above)] = max(SOLVER.loose, accuracy)
     while True:
         used, mass_used = basis[:, :size], mass_basis[:, :size]
-        image: Block = np.asarray(shifted.solve(mass_block), dtype=dtype)
+        solved = shifted.solve(mass_block)
+        image: Block = np.array(solved, dtype=dtype)
+        if inverse_iteration:
+            solves.append(solved)
         # The recurrence couples a block to itself and the previous one; the rest removes rounding along older blocks.
         recent = slice(max(0, size - 2 * width), size)
         coefficients = np.zeros((size, width), dtype)
@@ -329,7 +339,11 @@ def shift_invert_lanczos(
             if sides and np.all(errors <= allowed * np.abs(inverse_values[chosen])):
                 values = shift + 1.0 / inverse_values[chosen]
                 order = np.argsort(values)
-                return values[order], combined(used, rotation[:, chosen[order]].astype(dtype))
+                coefficients = rotation[:, chosen[order]]
+                if inverse_iteration:
+                    del used, mass_used, basis, mass_basis  # before the vectors take as much again
+                    return values[order], combined(solves, coefficients / inverse_values[chosen[order]])
+                return values[order], combined(used, coefficients.astype(dtype))
             next_check = size + max(width, size // 20)
         if full:
             raise SolverError(
@@ -340,15 +354,18 @@ def shift_invert_lanczos(
         size += width
 
 
-def combined(basis: Block, coefficients: Block, out: Block | None = None) -> Block:
-    """(n, b) product Q C of a tall Q, in threads; ``out`` may be Q."""
-    out = np.empty((len(basis), coefficients.shape[1]), np.result_type(basis, coefficients)) if out is None else out
+def combined(basis: Block | list[FloatArray], coefficients: Block, out: Block | None = None) -> Block:
+    """(n, b) product Q C of a tall Q or of its blocks of columns, in threads; ``out`` may be Q."""
+    blocks = basis if isinstance(basis, list) else [basis]
+    n, kind = len(blocks[0]), np.result_type(blocks[0], coefficients)
+    result = np.empty((n, coefficients.shape[1]), kind) if out is None else out
 
     def combine(part: slice) -> None:
-        np.matmul(basis[part], coefficients, out=out[part])
+        rows = blocks[0][part] if len(blocks) == 1 else np.hstack([block[part] for block in blocks])
+        np.matmul(rows, coefficients, out=result[part])
 
-    in_threads(combine, row_slices(len(basis), ROW_BLOCK))
-    return out
+    in_threads(combine, row_slices(n, ROW_BLOCK // len(blocks)))
+    return result
 
 
 def inner_products(first: Block, second: Block, areas: FloatArray | None = None) -> Block:

@@ -108,31 +108,28 @@ def _pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float
     mass = sparse.csr_array(sparse.diags_array(areas))
     shift = -4.0 * np.pi / float(areas.sum())
     shifted = factor(shifted_matrix(weights, mass, shift))
-    # Lanczos may be in single precision; the inverse iterations below remove its rounding error.
+    # Lanczos may be in single precision; inverse iterations remove its rounding error.
     krylov_accuracy = max(min(accuracy, SOLVER.single_accuracy), 1e-10)
-    initial = band_pairs(weights, mass, 0, k, accuracy=krylov_accuracy, like=shifted)
-    values, vectors = np.array(initial.values), np.array(initial.vectors, dtype=np.float64, order="C")
+    initial = band_pairs(weights, mass, 0, k, accuracy=krylov_accuracy, like=shifted, inverse_iteration=True)
+    values, vectors = np.array(initial.values), np.array(initial.vectors, order="C")
     parts = row_slices(k, COLUMN_BLOCK)
-    for iteration in range(MAX_INVERSE_ITERATIONS + 1):
-        worst = np.inf
-        if iteration or initial.vectors.dtype == np.float64:
-            worst = 0.0
-            for part in parts:
-                energy, dual = multiply(weights, vectors[:, part]), areas[:, None] * vectors[:, part]
-                values[part] = np.einsum("ij,ij->j", vectors[:, part], energy)  # Rayleigh quotients
-                worst = max(worst, float(residual_norms(values[part], energy, dual, areas, area).max()))
+    for iteration in range(MAX_INVERSE_ITERATIONS):
+        improve = partial(_improve, shifted, areas, values - shift, vectors)
+        # Lanczos has made one at a shift within the spectrum, far from the lowest pairs: at first these need another.
+        for first in range(0, len(parts) if iteration else 1, 2):
+            in_threads(improve, parts[first : first + 2] if iteration else parts[:1])
+        # M-orthonormal in order, as inverse iteration amplifies the lower vectors in each.
+        combined(vectors, linalg.inv(linalg.cholesky(inner_products(vectors, vectors, areas))), out=vectors)
+        worst = 0.0
+        for part in parts:
+            energy, dual = multiply(weights, vectors[:, part]), areas[:, None] * vectors[:, part]
+            values[part] = np.einsum("ij,ij->j", vectors[:, part], energy)  # Rayleigh quotients
+            worst = max(worst, float(residual_norms(values[part], energy, dual, areas, area).max()))
         if worst <= accuracy:
             if (np.diff(values) < 0.0).any():  # equal ones differ by rounding
                 order = np.argsort(values, kind="stable")
                 values, vectors = values[order], vectors.take(order, axis=1)
             return EigenPairs(values, vectors, 0)
-        if iteration == MAX_INVERSE_ITERATIONS:
-            break
-        improve = partial(_improve, shifted, areas, values - shift, vectors)
-        for first in range(0, len(parts), 2):
-            in_threads(improve, parts[first : first + 2])
-        # M-orthonormal in order, as inverse iteration amplifies the lower vectors in each.
-        combined(vectors, linalg.inv(linalg.cholesky(inner_products(vectors, vectors, areas))), out=vectors)
     raise SolverError(
         f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; remove triangles of almost no area, "
         "or ask `cagemap.eigenpairs` for a lower accuracy, at most 0.01"
