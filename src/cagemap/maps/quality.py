@@ -98,8 +98,9 @@ def _source_normals(images: SurfacePoints) -> FloatArray:
     at_vertex = np.flatnonzero(images.barycentric.max(axis=1) == 1.0)
     if not len(at_vertex):
         return images.normals
+    of_vertices = images.surface.vertex_normals[images.at(at_vertex).heaviest_corners]
     normals = images.normals.copy()
-    normals[at_vertex] = images.surface.vertex_normals[images.at(at_vertex).heaviest_corners]
+    normals[at_vertex] = of_vertices
     return normals
 
 

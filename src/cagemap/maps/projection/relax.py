@@ -119,7 +119,7 @@ def _improved_patches(near: IndexArray, inside: BoolArray, before: BoolArray, af
 def label_patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     """(n,) connected patch of every vertex, below n; vertices outside are patches of their own."""
     n = len(inside)
-    near = triangles[touched_triangles(triangles, inside)]
+    near = triangles[touched_triangles(triangles, inside)].astype(np.int32)
     heads, tails = near.T.ravel(), near[:, [1, 2, 0]].T.ravel()
     joined = inside[heads] & inside[tails]
     return label_components(heads[joined], tails[joined], n)
