@@ -30,6 +30,7 @@ LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): landmarks with a larger error are na
 FLIPPED_TOLERANCE = 5e-3  # of the target's area
 COVERAGE_TOLERANCE = 0.98  # of the source's area
 TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry) a map is fully trusted
+PERCENTILE_BINS = 4096
 COVERAGE_SAMPLES = 50_000
 ON_SURFACE = 1e-6  # of sqrt(area): closer points are on the surface
 # Warning about masks that leave no part of the map.
@@ -116,30 +117,33 @@ def measure_quality(
 ) -> QualityFigures:
     """Measure a map, shares weighted by masks; on dense targets coverage is that of ``coarse_triangles`` (t, 3)."""
     target, images = point_map.target, point_map.images
-    image, normals, counted = images.positions, _source_normals(images), masks.joint(point_map)
+    image, counted = images.positions, masks.joint(point_map)
     is_joined = bool(counted.any())
     counted = counted if is_joined else masks.of_target(target.n)
-    areas = target.areas * counted[target.triangles].mean(axis=1)
-    sized = target.positions * masks.length_ratio(target, point_map.source)  # the shared area at the source's size
+    ratio = masks.length_ratio(target, point_map.source)
+    sized = target.positions if ratio == 1.0 else ratio * target.positions  # the shared area at the source's size
 
-    flipped, stretch = np.empty(len(areas), dtype=np.bool_), np.empty((2, len(areas)))
-    largest, smallest = stretch
+    whole = bool((counted == 1.0).all())
+    areas = target.areas if whole else target.areas * counted[target.triangles].mean(axis=1)
+    largest, smallest = stretch = np.empty((2, len(areas)))
 
     def fill(part: slice) -> None:
         chosen = target.triangles[part]
-        flipped[part] = inverted_triangles(image, normals, chosen)
         stretch[:, part] = stretches(sized, image, chosen)
 
     with ThreadPool(1) as pool:
         asked = target.triangles if coarse_triangles is None else coarse_triangles
         covered = pool.submit(covered_share, target.positions, image, asked, point_map.source, masks=masks)
+        flipped = inverted_triangles(image, _source_normals(images), target.triangles)
         in_threads(fill, row_slices(len(areas), CACHED))
-        aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field(target, (largest, smallest), flipped)
         coverage = covered.result()
+    dirichlet = float(0.5 * (areas * (largest**2 + smallest**2)).sum() / areas.sum())
+    aspect = largest / np.maximum(smallest, 1e-9)
+    largest *= smallest  # now ratios of areas: in place, as dense targets have many triangles
     distributions = [
         (values, areas, [float(p) for p in PERCENTILES[name]])
-        for name, values in (("area_ratio", largest * smallest), ("aspect_ratio", aspect))
+        for name, values in (("area_ratio", largest), ("aspect_ratio", aspect))
     ]
     area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), distributions)
     vertex_areas = target.vertex_areas * counted / (target.vertex_areas @ counted)
@@ -147,7 +151,7 @@ def measure_quality(
         landmark_errors=np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks),
         flipped_area=float(areas[flipped].sum() / areas.sum()),
         coverage=coverage,
-        dirichlet=float(0.5 * (areas * (largest**2 + smallest**2)).sum() / areas.sum()),
+        dirichlet=dirichlet,
         area_ratios=area_ratios,
         aspect_ratios=aspect_ratios,
         trust=trust,
@@ -219,10 +223,17 @@ def trust_field(
     target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
     """(n1,) means of triangles' ``min(1, (TRUSTED_STRETCH / d)^2)``, d their `distortion`, or 0 where flipped."""
-    per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / distortion(sigma)) ** 2))
-    areas = target.areas
-    weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
-    return np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
+    trusted, areas = np.empty((len(flipped), 1)), target.areas
+
+    def fill(part: slice) -> None:
+        shares = np.minimum(1.0, (TRUSTED_STRETCH / distortion((sigma[0][part], sigma[1][part]))) ** 2)
+        trusted[part, 0] = areas[part] * np.where(flipped[part], 0.0, shares)
+
+    in_threads(fill, row_slices(len(flipped), CACHED))
+    weighted = corner_sums(target.triangles, trusted, target.n)[:, 0]
+    total = 3.0 * areas.sum() * target.vertex_areas
+    means = np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
+    return np.minimum(means, 1.0, out=means)
 
 
 def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
@@ -257,19 +268,28 @@ def _source_normals(images: SurfacePoints) -> FloatArray:
     at_vertex = np.flatnonzero(images.barycentric.max(axis=1) == 1.0)
     if not len(at_vertex):
         return images.normals
+    of_vertices = images.surface.vertex_normals[images.at(at_vertex).heaviest_corners]
     normals = images.normals.copy()
-    normals[at_vertex] = images.surface.vertex_normals[images.at(at_vertex).heaviest_corners]
+    normals[at_vertex] = of_vertices
     return normals
 
 
 def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequence[float]) -> FloatArray:
-    """Percentiles of values, weighted."""
-    order = np.argsort(values)
-    cumulative = weights.take(order)
-    np.cumsum(cumulative, out=cumulative)
-    cumulative /= weights.sum()
-    places = np.minimum(np.searchsorted(cumulative, np.asarray(percents) / 100), len(values) - 1)
-    return np.asarray(values[order[places]])
+    """Percentiles of values, weighted. Only bins between values of a sample that contain a percentile are sorted."""
+    ends = np.sort(values[:: len(values) // PERCENTILE_BINS + 1])
+    weight_of_bins = np.zeros(len(ends) + 1)
+    for part in row_slices(len(values), CACHED):
+        weight_of_bins += np.bincount(np.searchsorted(ends, values[part]), weights[part], len(ends) + 1)
+    cumulative = np.cumsum(weight_of_bins)
+    found = []
+    for goal in np.asarray(percents) / 100 * cumulative[-1]:
+        k = min(int(np.searchsorted(cumulative, goal)), len(ends))
+        low, high = ends[k - 1] if k else -np.inf, ends[k] if k < len(ends) else np.inf
+        inside = np.flatnonzero((values > low) & (values <= high))
+        inside = inside[np.argsort(values[inside])]
+        reached = np.searchsorted(np.cumsum(weights[inside]), goal - (cumulative[k - 1] if k else 0.0))
+        found.append(values[inside[min(int(reached), len(inside) - 1)]])
+    return np.array(found)
 
 
 def _warnings(

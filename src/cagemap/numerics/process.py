@@ -17,7 +17,7 @@ GC_THRESHOLD = 1_000_000
 # Seconds that a thread returning from a kernel waits at most for one that runs Python; Python's default is 0.005.
 SWITCH_INTERVAL = 0.0005
 # Parameters of glibc's malloc (mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD, M_MMAP_THRESHOLD (at most 32 MB).
-MALLOC = {-8: 2, -1: 1 << 30, -3: 32 << 20}
+MALLOC = {-8: 2, -1: 1 << 30, -3: 16 << 20}
 
 
 def set_up_process() -> None:

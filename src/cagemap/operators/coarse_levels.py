@@ -111,12 +111,12 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified)
     around = np.argsort(step.triangles.ravel(), kind="stable") // 3  # triangles by coarse vertex
     counts = np.bincount(step.triangles.ravel(), minlength=len(step.kept))
     starts = np.cumsum(counts) - counts
-    corners = positions[step.kept][step.triangles]
-    ranges = np.column_stack([starts, starts + counts])
+    kept, ranges = positions[step.kept], np.column_stack([starts, starts + counts])
     vertices, weights = np.empty((len(positions), 3), dtype=np.int64), np.empty((len(positions), 3))
 
     def locate(part: slice) -> None:
-        triangle, weights[part] = closest_among(corners, ranges[step.cluster[part]], around, positions[part])
+        near = ranges[step.cluster[part]]
+        triangle, weights[part] = closest_among(kept, step.triangles, near, around, positions[part])
         vertices[part] = step.triangles[triangle]
 
     in_threads(locate, row_slices(len(positions), LOCATE_BLOCK))

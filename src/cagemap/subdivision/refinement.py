@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
@@ -34,9 +35,14 @@ class Level:
     """Mesh of one level."""
 
     positions: FloatArray  #: (n, 3) vertices, in the control mesh's length unit; not on the limit surface
-    faces: IndexArray | None  #: (m, 4) or (m, 3); None at level 0 of other faces, see ``Refinement.control``
+    corners: NDArray[np.integer] | None  #: `faces` as stored: int32 after refinement
     face_parents: IndexArray  #: (m,) control face of every face
     lay: Callable[[], Layout] | None = None  #: gives UVs (p, 2) and the UV of every corner of ``faces``
+
+    @property
+    def faces(self) -> IndexArray | None:
+        """(m, 4) or (m, 3); None at level 0 of other faces, see ``Refinement.control``."""
+        return None if self.corners is None else self.corners.astype(np.int64, copy=False)
 
     @kept
     def layout(self) -> Layout | None:
@@ -276,7 +282,7 @@ def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refi
         positions, parents = matrices[-1] @ result[-1].positions, result[-1].face_parents
         parents = np.repeat(parents, 4) if isinstance(scheme, Loop) else parents[state.topology.faces]
         lay = partial(refined_layout, control, step + 1, scheme) if has_uvs else None
-        result.append(Level(positions, children(state.topology, scheme).astype(np.int64), parents, lay))
+        result.append(Level(positions, children(state.topology, scheme), parents, lay))
     return Refinement(control, scheme, tuple(matrices), tuple(result))
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, places_of, read_only
@@ -30,11 +31,12 @@ class TriangleTree:
     """Triangles of a surface, ordered for closest-point search."""
 
     #: (nodes, 12) lower and upper bounds of positions, then of normals. Padding nodes are empty (lower > upper
-    #: position).
-    boxes: FloatArray
-    order: IndexArray  #: (t,) triangle of the mesh at every position of the tree; ``places`` is the inverse
-    places: IndexArray
-    corners: FloatArray  #: (t, 3, 3) corner positions in tree order
+    #: position). Single precision, rounded outwards: bounds only leave triangles out.
+    boxes: NDArray[np.float32]
+    order: NDArray[np.int32]  #: (t,) triangle of the mesh at every position of the tree; ``places`` is the inverse
+    places: NDArray[np.int32]
+    positions: FloatArray  #: (n, 3) vertices of the mesh
+    corners: NDArray[np.int32]  #: (t, 3) vertices of the triangles in tree order
     normals: FloatArray  #: (t, 3) unit normals in tree order, zero for degenerate triangles
 
     def normals_of(self, triangles: IndexArray) -> FloatArray:
@@ -54,12 +56,13 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
             "Repair the mesh."
         )
     order = _leaf_order(positions, triangles)
-    ordered = triangles.take(order, axis=0)
-    normals = normalize_rows(triangle_normals(positions, ordered))
+    corners = triangles.take(order, axis=0).astype(np.int32)
+    normals = normalize_rows(triangle_normals(positions, triangles).take(order, axis=0))
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
-    boxes, corners = np.empty((2 * n_leaves - 1, 12)), np.empty((len(order), 3, 3))
-    _fill_boxes(read_only(positions), ordered, normals, corners, boxes)
-    return TriangleTree(boxes, order, places_of(order, len(order)), corners, normals)
+    boxes = np.empty((2 * n_leaves - 1, 12), dtype=np.float32)
+    _fill_boxes(read_only(positions), corners, normals, boxes)
+    places = places_of(order, len(order)).astype(np.int32)
+    return TriangleTree(boxes, order.astype(np.int32), places, read_only(positions), corners, normals)
 
 
 def closest_points(
@@ -94,7 +97,8 @@ def closest_points(
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
     limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, else the kernel is compiled twice
 
-    searched, asked = (tree.boxes, tree.corners, tree.normals), (queries, directions, limits, start)
+    searched = tree.boxes, tree.positions, tree.corners, tree.normals
+    asked = queries, directions, limits, start
     options, answers = (float(normal_weight) ** 2, float(minimum_cosine)), (nearest, barycentric, squared)
     # Chunks must not depend on the number of threads: among equally close points the start decides.
     chunks = [sequence[part] for part in row_slices(len(sequence), _QUERY_CHUNK)]
@@ -104,12 +108,13 @@ def closest_points(
 
 
 def closest_among(
-    corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
+    positions: FloatArray, triangles: IndexArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
     """Nearest of triangles ``candidates[starts[i, 0]:starts[i, 1]]`` to point i: triangle (m,), barycentric (m, 3)."""
     triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
-    c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
-    _search_among(c, s, among, p, triangle, barycentric)
+    given = positions, triangles, starts, candidates, points
+    p, t, s, among, q = (read_only(np.ascontiguousarray(array)) for array in given)
+    _search_among(p, t, s, among, q, triangle, barycentric)
     return triangle, barycentric
 
 
@@ -145,23 +150,20 @@ def _morton_codes(points: FloatArray) -> IndexArray:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_boxes(positions, triangles, normals, corners, boxes):  # type: ignore[no-untyped-def]
-    """Fill corner positions of every triangle, and boxes from the leaves up to the root."""
-    first_leaf = len(boxes) // 2
+def _fill_boxes(positions, triangles, normals, boxes):  # type: ignore[no-untyped-def]
+    """Fill boxes from the leaves up to the root."""
+    first_leaf, down, up = len(boxes) // 2, np.float32(-np.inf), np.float32(np.inf)
     for leaf in range(first_leaf + 1):
-        box = boxes[first_leaf + leaf]
+        box, begin, end = boxes[first_leaf + leaf], leaf * _LEAF_SIZE, min((leaf + 1) * _LEAF_SIZE, len(triangles))
         for i in range(3):
-            box[i], box[3 + i] = np.inf, -np.inf
-            box[6 + i], box[9 + i] = 1.0, -1.0
-        for t in range(leaf * _LEAF_SIZE, min((leaf + 1) * _LEAF_SIZE, len(triangles))):
-            for i in range(3):
+            low, high, least, most = np.inf, -np.inf, 1.0, -1.0
+            for t in range(begin, end):
                 for k in range(3):
                     x = positions[triangles[t, k], i]
-                    corners[t, k, i] = x
-                    box[i] = min(box[i], x)
-                    box[3 + i] = max(box[3 + i], x)
-                box[6 + i] = min(box[6 + i], normals[t, i])
-                box[9 + i] = max(box[9 + i], normals[t, i])
+                    low, high = min(low, x), max(high, x)
+                least, most = min(least, normals[t, i]), max(most, normals[t, i])
+            box[i], box[3 + i] = np.nextafter(np.float32(low), down), np.nextafter(np.float32(high), up)
+            box[6 + i], box[9 + i] = np.nextafter(np.float32(least), down), np.nextafter(np.float32(most), up)
     for node in range(first_leaf - 1, -1, -1):
         for first in (0, 6):
             for i in range(first, first + 3):
@@ -172,7 +174,7 @@ def _fill_boxes(positions, triangles, normals, corners, boxes):  # type: ignore[
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped-def]
     """Branch and bound over the tree, the nearer child first."""
-    boxes, corners, normals = tree
+    boxes, positions, corners, normals = tree
     queries, directions, limits, start = asked
     weight2, minimum_cosine = options
     nearest, barycentric, squared = answers
@@ -189,7 +191,7 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
         if t >= 0:
             cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
             if cosine >= minimum_cosine:
-                v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                v, w, d2 = _closest_in_triangle(positions, corners, t, x, y, z)
                 cost = d2 + weight2 * 2.0 * (1.0 - cosine)
                 if cost < best:
                     best = cost
@@ -228,7 +230,7 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
                 penalty = weight2 * 2.0 * (1.0 - cosine)
                 if cosine < minimum_cosine or penalty >= best:
                     continue
-                v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                v, w, d2 = _closest_in_triangle(positions, corners, t, x, y, z)
                 if d2 + penalty < best:
                     best = d2 + penalty
                     best_t, best_v, best_w, best_squared = t, v, w, d2
@@ -239,13 +241,13 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _search_among(corners, starts, candidates, points, triangle, barycentric):  # type: ignore[no-untyped-def]
+def _search_among(positions, corners, starts, candidates, points, triangle, barycentric):  # type: ignore[no-untyped-def]
     """Find the nearest of each query's candidate triangles."""
     for i in range(len(points)):
         best, best_v, best_w, best_t = np.inf, 0.0, 0.0, candidates[starts[i, 0]]
         for j in range(starts[i, 0], starts[i, 1]):
             t = candidates[j]
-            v, w, d2 = _closest_in_triangle(corners, t, points[i, 0], points[i, 1], points[i, 2])
+            v, w, d2 = _closest_in_triangle(positions, corners, t, points[i, 0], points[i, 1], points[i, 2])
             if d2 < best:
                 best, best_t = d2, t
                 best_v = min(max(v, 0.0), 1.0)  # against rounding, and for triangles without area
@@ -267,11 +269,12 @@ def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
+def _closest_in_triangle(positions, corners, t, x, y, z):  # type: ignore[no-untyped-def]
     """Barycentric coordinates of corners 1 and 2, squared distance (Ericson, Real-Time Collision Detection 5.1.5)."""
-    ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
-    abx, aby, abz = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay, corners[t, 1, 2] - az
-    acx, acy, acz = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay, corners[t, 2, 2] - az
+    a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
+    ax, ay, az = positions[a, 0], positions[a, 1], positions[a, 2]
+    abx, aby, abz = positions[b, 0] - ax, positions[b, 1] - ay, positions[b, 2] - az
+    acx, acy, acz = positions[c, 0] - ax, positions[c, 1] - ay, positions[c, 2] - az
     px, py, pz = x - ax, y - ay, z - az
     d1 = abx * px + aby * py + abz * pz
     d2 = acx * px + acy * py + acz * pz

@@ -103,7 +103,8 @@ class TriangleSurface:
     @kept
     def boundary_vertices(self) -> NDArray[np.bool_]:
         """(n,) whether a vertex is on the boundary."""
-        triangle, corner = np.nonzero(self.neighbors < 0)
+        # Not `neighbors`, which would be kept: on a closed surface they are rarely read again.
+        triangle, corner = np.nonzero(triangle_neighbors(self.triangles) < 0)
         ends = [self.triangles[triangle, (corner + step) % 3] for step in (1, 2)]
         return read_only(mask_of(np.concatenate(ends), self.n))
 
@@ -121,10 +122,11 @@ class TriangleSurface:
         return np.asarray((on_edge | at_vertex).any(axis=1))
 
     @kept
-    def vertex_triangles(self) -> IndexArray:
+    def vertex_triangles(self) -> NDArray[np.int32]:
         """(n,) the last triangle around every vertex; -1 without triangles."""
-        last = np.full(self.n, -1, dtype=np.int64)
-        last[self.triangles.ravel()] = np.arange(self.triangles.size) // 3  # of repeated indices the last one counts
+        last = np.full(self.n, -1, dtype=np.int32)
+        # Of repeated indices the last one counts.
+        last[self.triangles.ravel()] = np.repeat(np.arange(len(self.triangles), dtype=np.int32), 3)
         return read_only(last)
 
     @kept
@@ -176,7 +178,7 @@ class SurfacePoints:
         vertices = whole_numbers(vertices, "vertices")
         bad = vertices[(vertices < 0) | (vertices >= surface.n)]
         if not len(bad):
-            triangle = surface.vertex_triangles[vertices]
+            triangle = surface.vertex_triangles[vertices].astype(np.int64)
             bad = vertices[triangle < 0]
         if len(bad):
             raise ParameterError(f"expected vertices 0 to {surface.n - 1} that have a triangle, got {bad[:5]}")
@@ -188,12 +190,13 @@ class SurfacePoints:
         if count < 1:
             raise ParameterError(f"count: expected 1 point or more, got {count}")
         order = surface.tree.order
-        ends = np.cumsum(surface.areas[order])
+        ends = np.cumsum(triangle_areas(surface.positions, surface.triangles).take(order))
         targets = (np.arange(count) + 0.5) * (ends[-1] / count)
         place = np.minimum(np.searchsorted(ends, targets), len(order) - 1)
         triangle = order[place]
         # Position in the triangle: from the remaining area, and from the golden ratio's sequence, which is aperiodic.
-        along = np.sqrt(np.clip((ends[place] - targets) / np.maximum(surface.areas[triangle], 1e-300), 0.0, 1.0))
+        areas = triangle_areas(surface.positions, surface.triangles.take(triangle, axis=0))
+        along = np.sqrt(np.clip((ends[place] - targets) / np.maximum(areas, 1e-300), 0.0, 1.0))
         across = np.arange(count) * 0.6180339887498949 % 1.0
         return cls(surface, triangle, np.column_stack([1.0 - along, along * (1.0 - across), along * across]))
 

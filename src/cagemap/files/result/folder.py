@@ -107,7 +107,9 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         ("target", result.target, result.landmarks.target_points, result.masks.target),
         ("source", result.source, result.landmarks.source_points, result.masks.source),
     ):
-        arrays[f"{prefix}_vertices"], arrays[f"{prefix}_faces"] = side.vertices, _numbers(side.faces)
+        corners = side.refinement.finest.corners
+        arrays[f"{prefix}_vertices"] = side.vertices
+        arrays[f"{prefix}_faces"] = _numbers(side.faces if corners is None else corners)
         arrays[f"{prefix}_landmarks"] = points.heaviest_corners
         if np.any(points.vertices < 0):
             arrays[f"{prefix}_landmark_corners"] = points.corners
@@ -125,9 +127,9 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         (temporary / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
 
 
-def _numbers(indices: IndexArray) -> NDArray[np.int32]:
+def _numbers(indices: NDArray[np.integer]) -> NDArray[np.int32]:
     """Indices of finest vertices and triangles as stored: int32, as they are below 2^31."""
-    return indices.astype(np.int32)
+    return indices.astype(np.int32, copy=False)
 
 
 def check_result_folder(folder: str | Path, *, force: bool = False) -> None:

@@ -43,12 +43,26 @@ def relax_folds(
     vertices, local_triangles = np.flatnonzero(used), (np.cumsum(used) - 1)[triangles[region]]
     # Folds may spread while they are relaxed. Border vertices stay fixed: some of their triangles are outside.
     movable = inner[vertices] & ~np.isin(vertices, held)
-    local, folded = images.at(vertices), flipped[region]
-    means = neighbour_means(local_triangles, np.ones(len(vertices), dtype=bool))
+    local, flipped[region] = _relax_region(
+        images.at(vertices), local_triangles, flipped[region], movable, normal_weight, config
+    )
+    return images.replaced(vertices, local), flipped
+
+
+def _relax_region(
+    local: SurfacePoints,
+    local_triangles: IndexArray,
+    folded: BoolArray,
+    movable: BoolArray,
+    normal_weight: float,
+    config: ProjectionConfig,
+) -> tuple[SurfacePoints, BoolArray]:
+    """New images of the vertices of a region, and which of its triangles are still flipped."""
+    means = neighbour_means(local_triangles, np.ones(len(local), dtype=bool))
     places = np.hstack([local.positions, local.normals])
     for ring in config.rings:
         before = folded.sum()
-        inside = flipped_rings(local_triangles, folded, ring, len(vertices)) & movable
+        inside = flipped_rings(local_triangles, folded, ring, len(local)) & movable
         moved = np.flatnonzero(inside)
         rows, tried = means[moved], places.copy()
         for _ in range(config.sweeps):
@@ -69,8 +83,7 @@ def relax_folds(
         places[kept] = tried[kept]
         if folded.sum() > (1.0 - config.min_gain) * before or not folded.any():
             break
-    flipped[region] = folded
-    return images.replaced(vertices, local), flipped
+    return local, folded
 
 
 def _improved_patches(near: IndexArray, inside: BoolArray, before: BoolArray, after: BoolArray) -> BoolArray:
@@ -106,7 +119,7 @@ def touched_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
 def label_patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     """(n,) connected patch of every vertex, below n; vertices outside are patches of their own."""
     n = len(inside)
-    near = triangles[touched_triangles(triangles, inside)]
+    near = triangles[touched_triangles(triangles, inside)].astype(np.int32)
     heads, tails = near.T.ravel(), near[:, [1, 2, 0]].T.ravel()
     joined = inside[heads] & inside[tails]
     return label_components(heads[joined], tails[joined], n)
@@ -114,14 +127,17 @@ def label_patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
 
 def neighbour_means(triangles: IndexArray, inside: BoolArray) -> sparse.csr_array:
     """(v, n) matrix that averages the neighbours of every inside vertex."""
-    rows, columns = triangles[:, [0, 1, 2, 0, 1, 2]].ravel(), triangles[:, [1, 2, 0, 2, 0, 1]].ravel()
+    corners = triangles.astype(np.int32)
+    rows, columns = corners[:, [0, 1, 2, 0, 1, 2]].ravel(), corners[:, [1, 2, 0, 2, 0, 1]].ravel()
     return convex_rows(rows, columns, np.ones(len(rows)), inside)
 
 
-def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: BoolArray) -> sparse.csr_array:
+def convex_rows(
+    rows: NDArray[np.integer], columns: NDArray[np.integer], weights: FloatArray, inside: BoolArray
+) -> sparse.csr_array:
     """(v, n) convex combinations for the v vertices inside: weights, duplicates summed, rows scaled to sum 1."""
-    kept = inside[rows]
-    number = np.cumsum(inside) - 1
+    kept = slice(None) if inside.all() else inside[rows]  # a slice copies nothing
+    number = np.cumsum(inside, dtype=np.int32) - 1
     shape = (int(inside.sum()), len(inside))
     matrix = sparse.csr_array((weights[kept], (number[rows[kept]], columns[kept])), shape=shape)
     return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix)
