@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from examples.shapes import creature, cube, grid, voxels
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from cagemap.deform.fit import evaluate_clusters, evaluate_placement
@@ -23,6 +24,7 @@ from cagemap.maps.hypotheses.search import cost_floor
 from cagemap.maps.hypotheses.starts import (
     AS_FILED,
     BY_FILE_AXES,
+    part_starts,
     rigid_starts,
     rotation_name,
     rotation_penalty,
@@ -30,7 +32,7 @@ from cagemap.maps.hypotheses.starts import (
     usual_rotations,
 )
 from cagemap.maps.masks import Masks
-from cagemap.mesh import Bilinear
+from cagemap.mesh import Bilinear, Plain
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.mesh.parts import extract_faces, join_meshes
@@ -108,6 +110,29 @@ def test_open_surfaces_of_related_units_also_start_where_the_files_place_them(fa
     for start in starts:
         in_file = start.positions / source.finest_triangles.scale, points / target.finest_triangles.scale
         np.testing.assert_allclose(*in_file)
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), Rotation.from_euler("xyz", (20, 46, 130), degrees=True).as_matrix()])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_part_starts_near_its_place_on_the_whole_wherever_its_file_puts_it(turn: FloatArray, reverse: bool) -> None:
+    """The head of a body with distinct axes, moved far away, and turned; in file units, so that its size is known."""
+    whole = ball()
+    whole = replace(whole, scheme=Plain()).with_positions(whole.positions * (1.0, 1.6, 3.0))
+    kept = whole.positions[:, 2][whole.face_indices.reshape(-1, 3)].min(axis=1) > 0.5
+    part = extract_faces(whole, np.flatnonzero(kept))
+    moved = part.with_positions(part.positions @ turn.T + (5.0, 1.0, -4.0))
+    sides = [prepare_surface(moved, 0), prepare_surface(whole, 0)]
+    on_whole = part.positions * sides[1].finest_triangles.scale
+    prepared = prepare_pair(*(sides[::-1] if reverse else sides))
+    mesh = prepared.mesh
+    starts = part_starts(prepared, mesh.positions, mesh.vertex_areas)
+    wanted, chosen = on_whole, slice(None)
+    if reverse:
+        wanted = sides[0].finest_triangles.positions
+        chosen = cKDTree(mesh.positions).query(on_whole)[1]
+    assert min(np.linalg.norm(start.positions[chosen] - wanted, axis=1).mean() for start in starts) < 0.2
+    sizes = (np.linalg.norm(positions.std(axis=0)) for positions in (starts[0].positions[chosen], wanted))
+    assert next(sizes) == pytest.approx(next(sizes))
 
 
 def test_principal_frames_do_not_depend_on_where_vertices_are_dense() -> None:

@@ -120,6 +120,7 @@ class SearchConfig(Config):
     turned_penalty: float = 1.1  #: cost factor of a start rotated about the vertical; files mostly agree on the front
     tilted_penalty: float = 1.3  #: the same of other rotations; files nearly always agree on up
     max_unit_ratio: float = 4.0  #: files of parts whose sizes have a larger ratio are in different units
+    part_patches: int = 8  #: patches of a whole on which a part is placed
     limb_height: float = 0.1  #: least height of a limb's tip over its pass; fingers reach 0.07, feet start at 0.12
     fewest_points: int = 4  #: limbs and landmarks that an assignment needs
     fewest_of_part: int = 3  #: the same for a part, whose other limbs may be cut off

@@ -30,6 +30,7 @@ from cagemap.maps.hypotheses.starts import (
     STARTS_PER_ROTATION,
     assigned_limbs,
     axis_rotation,
+    part_starts,
     refit_distinct_to_tips,
     rigid_starts,
     rotation_name,
@@ -101,7 +102,7 @@ def search_placements(
 
     1. With three landmarks or more, fit from the two starts that they give. If the fits agree, return them.
     2. Else fit a small graph from many starts: assigned limbs, the files' positions and, with fewer landmarks,
-       rotations.
+       rotations and patches of a whole.
     3. Fit the mesh from the best of these, with the tips of assigned limbs as constraints and without tips.
        With fewer than three landmarks an assignment is left out if its coarse placements cost more than
        ``max_equal_cost`` times the cheapest ones.
@@ -189,6 +190,7 @@ def fit_small_graph(
         limb_fits = []
     if with_rotations and not limb_fits:
         # Of similar starts the first is kept: the distinct unrotated ones come first.
+        starts += part_starts(prepared, graph.positions, graph.areas)
         rotated = distinct_placements(starts, graph.areas, config.min_start_distance)[len(unrotated) :]
         rigid_fits = rank_placements([*rigid_fits, *in_threads(fit_start, rotated)])
     show(rank_placements([*(placed for _, placed in limb_fits), *rigid_fits])[0])

@@ -23,6 +23,7 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import PreparedPair, Problem, Tips
 from cagemap.deform.refit import common_rotation
+from cagemap.maps.masks import WHOLE_SHARE
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
 from cagemap.numerics.threads import in_threads, thread_limit
 from cagemap.surface.alignment import Y_UP, axis_rotations, nearest_axis_rotation, principal_frame, rotations_onto
@@ -230,6 +231,28 @@ def unmoved_start(prepared: PreparedPair, points: FloatArray) -> list[Placement]
     """Start of points (k, 3) at their position in the files; none for closed surfaces or unrelated units."""
     ratio = file_ratio(prepared)
     return [] if ratio is None else [Placement(np.asarray(ratio * points))]
+
+
+def part_starts(prepared: PreparedPair, points: FloatArray, areas: FloatArray) -> list[Placement]:
+    """Starts of a part's points (k, 3) on patches of the whole, or of a whole's on a part; none for two wholes.
+
+    A patch has the part's area in file units. Part and patch have one centre, and no rotation or one of the four that
+    align their principal frames.
+    """
+    ratio, source = file_ratio(prepared), prepared.source_surface
+    share = 1.0 if ratio is None else min(ratio, 1.0 / ratio) ** 2
+    if ratio is None or share >= WHOLE_SHARE:
+        return []
+    own = principal_frame(points, areas), principal_frame(source.positions, source.vertex_areas)
+    larger, starts = prepared.graphs[int(ratio < 1.0)], list[Placement]()
+    for distances in larger.station_distances[: prepared.elastic.search.part_patches]:
+        order = np.argsort(distances, kind="stable")
+        patch = order[: np.searchsorted(np.cumsum(larger.areas[order]), share) + 1]
+        frame = principal_frame(larger.positions[patch], larger.areas[patch])
+        (centre, axes, _), (source_centre, source_axes, _) = (own[0], frame) if ratio < 1.0 else (frame, own[1])
+        for rotation in (np.eye(3), *rotations_onto(axes, source_axes)):
+            starts.append(Placement(ratio * (points - centre) @ rotation.T + source_centre))
+    return starts
 
 
 def rigid_starts(
