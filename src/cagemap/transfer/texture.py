@@ -3,8 +3,8 @@
 Textures that are not minified are interpolated by the six-point cubic of Keys, *Cubic convolution interpolation for
 digital image processing* (1981, eq. 24). It interpolates the texels and reproduces cubics. Its loss of detail three
 texels wide is a twelfth of a bilinear lookup's. Values are limited to the range of the two texels around a point,
-except at local peaks, and to the range of the image: hard edges do not ring. Alpha is looked up like colours, which may be
-premultiplied by it. At borders of islands, where some of the six texels are not covered, the lookup is bilinear.
+except at local peaks, and to the range of the image: hard edges do not ring. Alpha is looked up like colours, which may
+be premultiplied by it. At borders of islands, where some of the six texels are not covered, the lookup is bilinear.
 """
 
 from __future__ import annotations
