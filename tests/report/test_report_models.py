@@ -92,6 +92,20 @@ def test_arrays_come_back_to_the_last_of_16_bits(result: MatchResult) -> None:
     assert places.max() < 1.001
 
 
+def test_places_of_a_flat_part_keep_their_precision(result: MatchResult) -> None:
+    """A ring of vertices: the rest of the target is far outside its extent along the normal."""
+    vertices = result.source.vertices
+    ring = np.abs(vertices[:, 1] - vertices[:, 1].mean()) < 1e-6
+    assert 3 < ring.sum() < len(ring)
+    of_part = replace(result, masks=Masks(None, ring.astype(np.float64)))
+    models = report_models(of_part, choose_viewpoints(of_part))
+    described, content = opened(models, of_part)
+    found = unpacked(described["sides"][TARGET]["places"], content)[:, [0, 2]]
+    inside = vertices[ring][:, [0, 2]]
+    expected = (result.image()[models.target.vertices][:, [0, 2]] - inside.min(0)) / np.ptp(inside, axis=0)
+    np.testing.assert_allclose(found, expected, atol=1 / 255)
+
+
 def test_first_look_is_the_texture_else_materials_else_the_checker(result: MatchResult) -> None:
     models = report_models(result, choose_viewpoints(result))
     assert [look.name for look in models.looks] == ["Materials", "Checker", "Places", "Problems", "Sizes"]

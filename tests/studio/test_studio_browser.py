@@ -49,6 +49,13 @@ ray.setFromCamera(new THREE.Vector2(x, y), camera);
 return [...ray.ray.origin.toArray(), ...ray.ray.direction.toArray()]"""
 
 
+# The extent of places of which the last one is doubtful.
+EXTENT = """
+const done = arguments[1], array = values => ({array: values});
+const values = {place: array(arguments[0]), trust: array([1, 1, 0])};
+import('./gl.js').then(({matchedExtent}) => done(matchedExtent([{getAttribute: name => values[name]}])));"""
+
+
 def ray(page: Page, side: str, point: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """What `Page.click` sends into the scene."""
     found = np.array(page.run(RAY, side, *point))
@@ -211,6 +218,23 @@ def test_a_wrong_landmark_is_marked(page: Page) -> None:
     back_to(page, count)
     page.until(lambda: not any("\u26a0" in row for row in page.rows()), "no mark")
     page.set("symmetric", True)
+
+
+def test_colours_and_checker_span_the_part_that_is_matched(page: Page) -> None:
+    """A head on a body would have one colour and three squares."""
+    extent = lambda *places: page.browser.execute_async_script(EXTENT, places)  # noqa: E731
+    np.testing.assert_allclose(extent(0.2, 0.4, 0, 0.2, 0.4, 0.4, 9, 9, 9), [0.2, 0.4, 0.2, 0.2])
+    assert extent(-1, 0, 0, 1, 0, 0, 9, 9, 9) == [0, 0, 0, 1]
+    assert page.run("return window.studio.views.matched") == [0, 0, 0, 1]
+    before = page.run("return document.getElementById('mode').value")
+    page.set("mode", "checker")
+    page.drawn()
+    whole = [page.look(side) for side in ("target", "source")]
+    page.run("window.studio.views.matched = [0.2, 0.4, 0.2, 0.2]; window.studio.views.changed()")
+    for side, shown in zip(("target", "source"), whole, strict=True):
+        page.until(lambda side=side, shown=shown: np.abs(page.look(side) - shown).mean() > 2, "other colours")
+    page.run("window.studio.views.matched = [0, 0, 0, 1]; window.studio.views.changed()")
+    page.set("mode", before)
 
 
 def test_landmarks_are_named_mirrored_and_go_through_every_form(page: Page, files: Files) -> None:

@@ -226,7 +226,7 @@ def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, monkeypatch: p
     own = {"jawOpen": np.tile([0.0, 1.0, 0.0], (kit.mesh.n_vertices, 1))}
     eyes, lash = Part("eyes", ball(2)), ball(1)
     head = Part("head", kit.mesh.with_positions(0.01 * kit.mesh.positions), None, own, shape_weights={"jawOpen": 0.5})
-    talk = Animation("talk", (), (ShapeTrack("head", ("jawOpen",), np.arange(2.0), np.array([[0.0], [1.0]])),))
+    talk = Animation("talk", (), (ShapeTrack("head", ("jawOpen",), 41.0 + np.arange(2.0), np.array([[0.0], [1.0]])),))
     lid = np.argmax(np.linalg.norm(read_face_kit(("eyeBlinkLeft",)).shapes["eyeBlinkLeft"], axis=1))
     lash = Part("lashes", lash.with_positions(head.mesh.positions[lid] + 1e-3 * lash.positions))
     document = character_glb(Character((head, eyes, lash), None, (talk,)))
@@ -250,6 +250,7 @@ def test_a_head_keeps_what_it_has_and_gets_shapes(tmp_path: Path, monkeypatch: p
     (animation,) = read_character("F.glb").animations
     for track, part in zip(animation.shape_tracks, ("head", "lashes"), strict=True):
         assert track.part == part
+        np.testing.assert_array_equal(track.times, [0.0, 1.0])
         np.testing.assert_array_equal(track.values[:, track.shapes.index("jawOpen")], [0.0, 1.0])
     expressions = read_document("F.glb").json["extensions"]["VRMC_vrm"]["expressions"]
     assert [bind["node"] for bind in expressions["preset"]["aa"]["morphTargetBinds"]] == [0, 2]

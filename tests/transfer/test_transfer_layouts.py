@@ -22,7 +22,7 @@ from cagemap.mesh.control_mesh import MIN_UV_AREA, ControlMesh
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
-from cagemap.tasks.bake_tiles import layout_tiles
+from cagemap.tasks.bake_tiles import layout_tiles, unwrapped_name
 from cagemap.transfer import (
     BakeOptions,
     bake_detail_texture,
@@ -388,12 +388,13 @@ def test_faces_that_get_no_texels_do_not_turn_tiles_off(hole: bool) -> None:
     assert layout_tiles(transfer) == ([1002, 1003], [])
 
 
-def test_both_spellings_of_a_set(tmp_path: Path) -> None:
+def test_all_spellings_of_a_set(tmp_path: Path) -> None:
     for number in (1001, 1012):
         write_image(udim_path(tmp_path / "skin.%(UDIM)d.png", number), _noise(8, number))
     (tmp_path / "skin.1x01.png").write_bytes(b"")
     assert sorted(path.name for path in tmp_path.iterdir())[:2] == ["skin.1001.png", "skin.1012.png"]
-    for name in ("skin.<UDIM>.png", "skin.%(UDIM)d.png"):
+    for name in ("skin.<UDIM>.png", "skin.%(UDIM)d.png", "skin.<udim>.png"):
+        assert unwrapped_name(tmp_path / name).name == "skin_unwrapped.obj"
         assert list(read_texture(tmp_path / name)) == [1001, 1012]
         assert len(texture_files(tmp_path / name)) == 2
         assert read_image_form(tmp_path / name) == (np.dtype(np.uint8), 3, (8, 8))

@@ -19,6 +19,8 @@ from cagemap.report.marks import SOURCE, TARGET, Mark
 from cagemap.report.shown import DisplaySurface, matched_source_vertices
 
 CHECKER_CELLS = 24  # along the longest side of the matched part
+# Least extent of the matched part along an axis, of its longest side: what is outside a flat part costs it precision.
+MIN_EXTENT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +155,7 @@ def _box(result: MatchResult) -> tuple[FloatArray, FloatArray]:
     vertices = matched_source_vertices(result)
     low, high = vertices.min(0), vertices.max(0)
     span = high - low
-    return low, np.maximum(span, 1e-9 * max(float(span.max()), np.finfo(np.float64).tiny))
+    return low, np.maximum(span, MIN_EXTENT * float(span.max())) if span.any() else np.ones(3)
 
 
 def _split_vertices(display: DisplaySurface, keys: IndexArray | None) -> tuple[IndexArray, IndexArray, IndexArray]:

@@ -332,7 +332,8 @@ def record_bake(
 
 def unwrapped_name(image: Path) -> Path:
     """Name of an image's unwrapped mesh, which differs from the user's mesh."""
-    return image.with_name(f"{image.stem.replace(UDIM_MARK, '').rstrip('._')}_unwrapped.obj")
+    stem = with_udim_mark(image).stem.replace(UDIM_MARK, "").rstrip("._")
+    return image.with_name(f"{stem}_unwrapped.obj")
 
 
 # Statements of a .mtl file for the inputs of UsdPreviewSurface. Blender reads normals from map_Bump.

@@ -123,11 +123,6 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
             pieces_of[part.name] = giver.name
     dressed = with_shape_weights(dressed, source, pieces_of)
     rigged_document = character_glb(dressed, document, images, pieces_of)
-    if not is_usd(request.output):
-        rigged_document, starts = with_starts_at_zero(rigged_document)
-        if starts:
-            late = first_few([f"{name} (from {start:.3g} s)" for name, start in starts.items()])
-            notes.append(f"animations moved to start at 0 in {request.output.name}, as programs expect: {late}")
     if request.report is not None:
         stages("report")
     with all_or_nothing():
@@ -168,6 +163,8 @@ def write_character(
 ) -> list[str]:
     """Write a character as glTF, or as USD in the space of the first input if that is USD; returns notes.
 
+    In glTF every animation is moved to start at 0.
+
     ``document``: of the character, by `character_glb`.
     ``inputs``: files that it was made from; their images are not replaced.
     """
@@ -176,11 +173,16 @@ def write_character(
         space = similar_space(inputs[0]) if is_usd(inputs[0]) else None
         kept = {file.resolve() for one in inputs for file in referred_files(one)}
         return write_usd_character(path, character, scene, space=space, kept=kept, force=force)
+    document, starts = with_starts_at_zero(document)
     write_document(path, document, force=force)
+    notes = []
+    if starts:
+        late = first_few([f"{name} (from {start:.3g} s)" for name, start in starts.items()])
+        notes.append(f"animations moved to start at 0 in {path.name}, as programs expect: {late}")
     is_vrm = bool({"VRM", "VRMC_vrm"} & set(document.json.get("extensions", ())))
-    if path.suffix.lower() != ".vrm" or is_vrm:
-        return []
-    return [f"{path} has no VRM data, since {inputs[-1]} has none: programs for VRM refuse it. Name it .glb"]
+    if path.suffix.lower() == ".vrm" and not is_vrm:
+        notes.append(f"{path} has no VRM data, since {inputs[-1]} has none: programs for VRM refuse it. Name it .glb")
+    return notes
 
 
 def read_body(path: Path) -> tuple[Document | None, Character]:

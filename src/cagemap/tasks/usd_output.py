@@ -10,7 +10,7 @@ from pathlib import Path
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.read import left_out_of_gltf
-from cagemap.files.images.image import UDIM_MARK
+from cagemap.files.images.image import with_udim_mark
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import left_out_of_usd, objects_of, read_usd_meshes
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
@@ -93,8 +93,7 @@ def _to_whole_prim(results: UsdResults, rows: FileRows) -> UsdResults:
 
 def texture_reference(image: Path, layer: Path) -> str:
     """Path of an image relative to a layer, with ``<UDIM>`` for the tile number."""
-    relative = Path(os.path.relpath(image.resolve(), layer.resolve().parent)).as_posix()
-    relative = relative.replace("%(UDIM)d", UDIM_MARK)
+    relative = Path(os.path.relpath(with_udim_mark(image).resolve(), layer.resolve().parent)).as_posix()
     if "\\" in relative or any(character < " " or character == "\x7f" for character in relative):
         raise ParameterError(f"{image}: expected a name without backslashes or control characters, for USD. Rename it.")
     return relative if relative.startswith(".") else f"./{relative}"

@@ -3,8 +3,8 @@
 Textures that are not minified are interpolated by the six-point cubic of Keys, *Cubic convolution interpolation for
 digital image processing* (1981, eq. 24). It interpolates the texels and reproduces cubics. Its loss of detail three
 texels wide is a twelfth of a bilinear lookup's. Values are limited to the range of the two texels around a point,
-except at local peaks, and to the range of the image: hard edges do not ring. The lookup is bilinear for alpha, and at
-borders of islands, where some of the six texels are not covered.
+except at local peaks, and to the range of the image: hard edges do not ring. Alpha is looked up like colours, which may
+be premultiplied by it. At borders of islands, where some of the six texels are not covered, the lookup is bilinear.
 """
 
 from __future__ import annotations
@@ -211,7 +211,6 @@ def look_up(
     # A band of texels uses few tiles of a large set: the others are skipped.
     used = np.zeros(len(texture.triangle_tiles), dtype=bool)
     used[samples.triangle] = True
-    colors = texture.channels - (texture.channels in (2, 4))
     for tile in np.unique(texture.triangle_tiles[used]).tolist():
         pixels = texture.tiles[tile]
         u, v = udim_origin(tile)
@@ -220,7 +219,7 @@ def look_up(
         _accumulate(
             (pixels.view(np.uint16) if half else pixels, _HALVES if half else None),
             (fine.cells, fine.lowest, fine.highest),
-            (colors, nearest, texture.repeat, tile, u, v),
+            (nearest, texture.repeat, tile, u, v),
             (texture.uvs, texture.uv_triangles, texture.triangle_tiles),
             (samples.first, samples.triangle, samples.barycentric),
             result,
@@ -238,7 +237,7 @@ def _accumulate(image, fine, options, layout, points, result):  # type: ignore[n
     with the opposite edge.
     """
     (pixels, halves), (smooth, lowest, highest) = image, fine
-    colors, nearest, repeat, tile, origin_u, origin_v = options
+    nearest, repeat, tile, origin_u, origin_v = options
     (uvs, uv_triangles, triangle_tiles), (first, triangle, barycentric) = layout, points
     height, width, channels = pixels.shape
     across, down = np.empty(6), np.empty(6)
@@ -262,15 +261,14 @@ def _accumulate(image, fine, options, layout, points, result):  # type: ignore[n
             c0, r0 = int(x), int(y)
             c1, r1 = int(np.ceil(x)), int(np.ceil(y))  # a texel of weight 0 may be NaN: it is not read
             fx, fy = x - c0, y - r0
-            linear_from = 0
             if len(smooth) and first[texel + 1] - first[texel] <= _MAX_SMOOTH_SAMPLES and smooth[r0, c0]:
                 _six_points(fx, across)
                 _six_points(fy, down)
-                for channel in range(colors):
+                for channel in range(channels):
                     value = _smooth_value(pixels, halves, r0, c0, channel, down, across)
                     result[texel, channel] += min(max(value, lowest[channel]), highest[channel])
-                linear_from = colors
-            for channel in range(linear_from, channels):
+                continue
+            for channel in range(channels):
                 upper = _value(pixels, halves, r0, c0, channel)
                 upper += fx * (_value(pixels, halves, r0, c1, channel) - upper)
                 lower = _value(pixels, halves, r1, c0, channel)

@@ -31,6 +31,8 @@ from cagemap.numerics.kinds import kinds_checked
 Pixels = NDArray[Any]
 
 UDIM_MARK = "<UDIM>"
+# Other spellings: Arnold's and Houdini's.
+_UDIM_MARKS = re.compile(r"<udim>|%\(udim\)d", re.IGNORECASE)
 # Pixel types that each format stores exactly.
 _FORMATS: dict[str, tuple[str, ...]] = {
     ".png": ("uint8", "uint16"),
@@ -304,8 +306,8 @@ def read_texture(path: str | Path) -> Image | dict[int, Image]:
 
 
 def with_udim_mark(path: Path) -> Path:
-    """A path with ``%(UDIM)d`` (the form of some programs) replaced by ``<UDIM>``."""
-    return path.with_name(path.name.replace("%(UDIM)d", UDIM_MARK)) if path.name else path
+    """A path with ``<udim>`` or ``%(UDIM)d`` (the forms of some programs) replaced by ``<UDIM>``."""
+    return path.with_name(_UDIM_MARKS.sub(UDIM_MARK, path.name)) if path.name else path
 
 
 def tile_files(path: str | Path) -> dict[int, Path]:

@@ -4,7 +4,7 @@
 const SHOWS = '#define SHOWS(look) (LOOK == look || OTHER == look)\n';
 export const VERTEX = `${SHOWS}
   attribute vec3 place, placeNormal, shown, plain; attribute vec2 own; attribute float trust;
-  uniform float wrapAmount;
+  uniform float wrapAmount; uniform vec4 matched;
   varying vec3 vNormal, vPlace, vShown, vPlain; varying vec2 vUv, vOwn; varying float vTrust;
   void main() {
     vec3 p = position, n = normal;
@@ -17,7 +17,7 @@ export const VERTEX = `${SHOWS}
       vShown = shown;
     #endif
     #if SHOWS(1) || SHOWS(2)
-      vPlace = place;
+      vPlace = (place - matched.xyz) / matched.w;
     #endif
     #if SHOWS(3)
       vPlain = plain;
@@ -116,6 +116,21 @@ export async function parsed(buffer) {
     return [name, await createImageBitmap(new Blob([new Uint8Array(buffer, start + byteOffset, byteLength)], {type: mimeType}))];
   })));
   return {meshes, images};
+}
+
+const MAX_PART_RADIUS = 0.7;  // of the source's; larger matched parts count as the whole source
+// Centre and radius of the source's matched part, which colours and checker span: of the target's trusted places.
+export function matchedExtent(geometries) {
+  const low = Array(3).fill(Infinity), high = Array(3).fill(-Infinity);
+  for (const geometry of geometries.filter(one => one.getAttribute('place'))) {
+    const places = geometry.getAttribute('place').array, trust = geometry.getAttribute('trust').array;
+    for (let i = 0; i < places.length; i++) if (trust[Math.floor(i / 3)] >= 0.5) {
+      low[i % 3] = Math.min(low[i % 3], places[i]);
+      high[i % 3] = Math.max(high[i % 3], places[i]);
+    }
+  }
+  const radius = Math.hypot(...high.map((end, k) => end - low[k])) / 2;
+  return radius > 0 && radius < MAX_PART_RADIUS ? [...high.map((end, k) => (end + low[k]) / 2), radius] : [0, 0, 0, 1];
 }
 
 export function texture(image, small = false, anisotropy = 1) {

@@ -1,5 +1,5 @@
 // Both models in one canvas: looks, comparison, overlay, marks, clicks, drags and cameras.
-import {COPY, FRAGMENT, LINES, MARKS, parsed, texture, VERTEX} from './gl.js';
+import {COPY, FRAGMENT, LINES, MARKS, matchedExtent, parsed, texture, VERTEX} from './gl.js';
 
 const SIDES = ['target', 'source'];
 const LOOKS = {texture: 0, colours: 1, checker: 2, plain: 3, baked: 4};
@@ -25,7 +25,7 @@ export class Views {
     this.renderer.autoClear = false;
     this.shown = {look: 'plain', other: '', split: 0.5, wrapAmount: 0, overlay: false, doubts: true, cages: false, numbers: true,
       linked: true, other_parts: true, pose: ''};
-    this.fit = Math.hypot(...FIRST);
+    [this.fit, this.matched] = [Math.hypot(...FIRST), [0, 0, 0, 1]];
     this.blank = texture(new ImageData(1, 1), true);
     [this.samples, this.anisotropy] = this.slow ? [0, 1] : [4, 8];
     this.sides = Object.fromEntries(SIDES.map(name => [name, this.side(name, root.querySelector(`#${name}`))]));
@@ -82,7 +82,7 @@ export class Views {
     const HAS_UVS = +!!has('uv');
     for (const key of ['uv', 'own']) if (!has(key)) geometry.setAttribute(key, constant(2, 0));
     if (!has('trust')) geometry.setAttribute('trust', constant(1, 1));
-    const values = {split: 0, opacity: 1, picture: this.blank, baked: this.blank, wrapAmount: 0};
+    const values = {split: 0, opacity: 1, picture: this.blank, baked: this.blank, wrapAmount: 0, matched: this.matched};
     const uniforms = Object.fromEntries(Object.entries(values).map(([key, value]) => [key, {value}]));
     const material = new THREE.ShaderMaterial({vertexShader: VERTEX, fragmentShader: FRAGMENT, side: THREE.DoubleSide, uniforms, defines: {HAS_UVS}});
     material.transparent = name === 'other_parts';
@@ -110,6 +110,7 @@ export class Views {
     if (kind === 'skin') {
       const own = meshes.filter(one => ['model', 'seams'].includes(one.name));  // one of them may have no triangle
       this.measure(side, own.map(one => one.geometry.getAttribute('position').array));
+      if (name === 'target') this.matched = matchedExtent(own.map(one => one.geometry));
       for (const image of Object.values(side.images)) image.dispose();
       side.images = Object.fromEntries(Object.entries(images).map(([id, image]) => [id, texture(image, id === 'seams', this.anisotropy)]));
       side.drawn += 1;
@@ -324,7 +325,7 @@ export class Views {
     const {look, other, split, doubts, cages, other_parts, pose} = this.shown;
     const images = [side, this.sides.source].flatMap(one => Object.values(one.images));
     const key = JSON.stringify([w, h, ratio, position, quaternion, projectionMatrix, look, other, split, doubts, cages, other_parts, pose,
-      this.wrapAmount(side), [...Object.values(parts), ...images].map(one => one.uuid)]);
+      this.wrapAmount(side), this.matched, [...Object.values(parts), ...images].map(one => one.uuid)]);
     if (side.pictureKey === key) return;
     side.pictureKey = key;
     side.picture.setSize(Math.max(1, Math.round(w * ratio)), Math.max(1, Math.round(h * ratio)));
@@ -348,7 +349,7 @@ export class Views {
       if (name === 'cage' || name === 'curves') continue;
       const picture = name === 'seams' ? side.images.seams : this.sides.source.images.texture ?? this.blank;
       const known = name => name === 'baked' && !side.images.baked ? (side.name === 'source' ? 'texture' : 'plain') : name;
-      const values = {wrapAmount, picture, split: (x + shown.split * w) * ratio, baked: side.images.baked ?? this.blank,
+      const values = {wrapAmount, picture, matched: this.matched, split: (x + shown.split * w) * ratio, baked: side.images.baked ?? this.blank,
         opacity: name === 'other_parts' ? 0.3 : opacity};
       for (const [key, value] of Object.entries(values)) uniforms[key].value = value;
       const LOOK = LOOKS[known(shown.look)], OTHER = shown.other ? LOOKS[known(shown.other)] : -1;
