@@ -11,8 +11,10 @@ from examples.shapes import creature, cube, icosahedron, torus, triangulated
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.body_frames import BodyFrames, FrameConfig
+from cagemap.character.contact import Contact
 from cagemap.character.passengers import (
     _strain,
+    _torn_meshes,
     carry_passenger,
     carry_passengers,
     hidden_passenger,
@@ -166,6 +168,24 @@ def test_what_was_outside_stays_outside_where_the_body_nearly_touches_itself(bod
     assert signed(target, carry_passenger(point_map, cloth).positions).min() > 0
 
 
+def test_the_body_beside_a_card_does_not_push_it() -> None:
+    """A brow is above an eye's socket on the source, but not over it; the target has no socket."""
+    along, across = np.meshgrid(np.linspace(0.0, 1.0, 41), np.linspace(0.0, 1.0, 41), indexing="ij")
+    flat = np.column_stack([along.ravel(), across.ravel(), np.zeros(along.size)])
+    socket = flat - np.where(flat[:, :1] > 0.5, [[0.0, 0.0, 0.02]], 0.0)
+    start = np.add.outer(41 * np.arange(40), np.arange(40)).ravel()
+    triangles = np.concatenate([start[:, None] + [0, 41, 42], start[:, None] + [0, 42, 1]])
+    target, source = TriangleSurface(flat, triangles), TriangleSurface(socket, triangles)
+    frames = BodyFrames(PointMap.from_vertices(target, source, np.arange(target.n)))
+    card = np.array([[0.3, 0.3, 0.01], [0.5, 0.3, 0.01], [0.5, 0.7, 0.01], [0.3, 0.7, 0.01]])
+    above = np.tile([0.0, 0.0, 1.0], (4, 1))
+    contact = Contact.find(frames, card, [np.array([[0, 1, 2], [0, 2, 3]])], above, np.tile(np.eye(3), (4, 1, 1)))
+    low, high = (card[k, :2] for k in (0, 2))
+    is_below = ((flat[:, :2] >= low) & (flat[:, :2] <= high)).all(axis=1)
+    assert len(contact.body_vertices) > 50
+    assert is_below[contact.body_vertices].all()
+
+
 def test_frames_do_not_stretch_where_the_map_collapses(body: ControlMesh) -> None:
     """A character's feet may be pieces of their own: the feet of the target are then on the edge of its legs."""
     stub, triangles = body.positions.copy(), cage_triangles(body)[0]
@@ -201,6 +221,18 @@ def test_a_small_part_keeps_its_shape_where_the_map_would_tear_it(body: ControlM
     assert ratio == pytest.approx(1.0, abs=0.3)
     offsets = np.linalg.norm(carried.carry_offsets(strip.positions), axis=1)
     np.testing.assert_allclose(offsets, ratio * np.linalg.norm(strip.positions, axis=1), rtol=1e-6)
+
+
+def test_lashes_keep_their_shape_where_the_eyes_are_torn() -> None:
+    """Lashes alone may look whole where the map takes them off the eyes."""
+    ring = np.array([[0, 1, 2], [2, 3, 0]])
+    eyes, lashes, brows = (size * np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]) for size in (3, 3.2, 5))
+    points = 0.01 * np.concatenate([eyes, lashes, brows])
+    places = points + 1.0
+    places[0, 0] += 0.3
+    triangles, parts = [ring, ring + 4, ring + 8], [slice(0, 4), slice(4, 8), slice(8, 12)]
+    assert _torn_meshes(points, places, triangles, parts) == [True, True, False]
+    assert _torn_meshes(points, points, triangles, parts) == [False] * 3
 
 
 def test_layers_keep_their_order(body: ControlMesh) -> None:

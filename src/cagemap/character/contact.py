@@ -18,7 +18,7 @@ from cagemap.character.body_frames import (
 )
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config
-from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.closest_points import closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalize_rows
 
@@ -92,15 +92,15 @@ def _find_covered(
     """Body vertices below a mesh; corners, barycentric coordinates and heights of the points above."""
     images, upward = frames.point_map.images.positions, frames.source_normals
     used, inverse = np.unique(triangles, return_inverse=True)
-    mesh_points, mesh_triangles = points[used], inverse.reshape(-1, 3)
-    low, high = mesh_points.min(axis=0) - _CONFIG.reach, mesh_points.max(axis=0) + _CONFIG.reach
+    mesh = TriangleSurface(points[used], inverse.reshape(-1, 3))
+    low, high = mesh.positions.min(axis=0) - _CONFIG.reach, mesh.positions.max(axis=0) + _CONFIG.reach
     body = np.flatnonzero(((images > low) & (images < high)).all(axis=1))
-    triangle, barycentric, distance = closest_points(
-        build_tree(mesh_points, mesh_triangles), images[body], within=_CONFIG.reach
-    )
-    offsets = np.einsum("nc,ncd->nd", barycentric, mesh_points[mesh_triangles[triangle]]) - images[body]
+    triangle, barycentric, distance = closest_points(mesh.tree, images[body], within=_CONFIG.reach)
+    offsets = np.einsum("nc,ncd->nd", barycentric, mesh.positions[mesh.triangles[triangle]]) - images[body]
     gaps = np.einsum("nd,nd->n", offsets, upward[body])
-    rows = np.flatnonzero((triangle >= 0) & (gaps > 0) & (gaps >= _CONFIG.min_above_cosine * distance))
+    # Vertices beside an open edge are not below the mesh: in the eye's socket, beside a brow.
+    is_below = (triangle >= 0) & ~mesh.at_boundary(triangle, barycentric)
+    rows = np.flatnonzero(is_below & (gaps > 0) & (gaps >= _CONFIG.min_above_cosine * distance))
     return body[rows], triangles[triangle[rows]], barycentric[rows], gaps[rows]
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import compress, pairwise
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cagemap.character.body_frames import BodyFrames, SignedDistances, with_split_triangles
 from cagemap.character.contact import Contact, push_out
@@ -25,9 +26,11 @@ from cagemap.surface.triangles import fan_triangles, row_lengths
 
 _log = logging.getLogger(__name__)
 
-# A small mesh whose edges become longer on average than its surroundings by this factor is torn: at least 3.3 for teeth
-# and tongues on bodies with closed mouths, at most 1.3 for other parts (docs/lab/passengers.md).
-_MAX_STRETCH = 2.0
+# A small mesh with more strain is torn: eyes, teeth and tongues have 0.6 to 1.3 on faces of few vertices or with a
+# closed mouth, at most 0.4 on others (docs/lab/passengers.md).
+_MAX_SMALL_STRAIN = 0.5
+# In sqrt(area); half of the vertices of lashes are nearer than 0.003 to the eyes, of brows none than 0.006.
+_MAX_TORN_DISTANCE = 0.0042
 _MAX_SMALL_RADIUS = 0.1  # in sqrt(area)
 _LEAST_SAMPLES = 64  # of the body around a mesh
 # On a body of fewer vertices the samples around a shoe reach the knee. Its triangles are then split for meshes whose
@@ -135,14 +138,17 @@ def carry_passengers(
             if _strain(points, places, own) > _MIN_STRAIN_RATIO * _strain(points, split[0], own):
                 places[start:end], matrices[start:end] = (of[start:end] for of in split)
     of_small = list[tuple[slice, FloatArray]]()  # rows and matrices of small meshes
-    for mesh, own, start, is_large in zip(meshes, triangles, starts[:-1], large, strict=True):
-        part = slice(start, start + mesh.n_vertices)
+    parts = [slice(start, end) for start, end in pairwise(starts.tolist())]
+    torn = _torn_meshes(points, places, triangles, parts)
+    for mesh, part, is_large, is_torn in zip(meshes, parts, large, torn, strict=True):
         if kinds.get(mesh.name) == "rigid" or is_large:
             continue
         rotation, scale, shift = _similarity_around(frames, points[part])
         of_small.append((part, source.scale / target.scale * scale * rotation.T))
-        if mesh.name not in kinds and _is_torn(points[part], places[part], scale, own - start):
-            _log.info("%s: keeps its shape, since the body has no place for it, such as a mouth for teeth", mesh.name)
+        if mesh.name not in kinds and is_torn:
+            _log.info(
+                "%s: keeps its shape, since the map around it is too uneven, as at closed mouths and eyes", mesh.name
+            )
             places[part], matrices[part] = scale * points[part] @ rotation.T + shift, scale * rotation.T
     kind_of = [kinds.get(mesh.name) for mesh in meshes]
     positions, linear_maps = np.empty_like(places), np.empty_like(matrices)
@@ -159,7 +165,7 @@ def carry_passengers(
         CarriedPassenger(
             positions[rows] / target.scale, linear_maps[rows], float(np.abs(distances.heights[rows]).mean())
         )
-        for rows in (slice(start, end) for start, end in pairwise(starts.tolist()))
+        for rows in parts
     ]
 
 
@@ -186,10 +192,21 @@ def _is_small(points: FloatArray) -> bool:
     return len(points) >= 3 and bool(np.linalg.norm(points - points.mean(axis=0), axis=1).max() <= _MAX_SMALL_RADIUS)
 
 
-def _is_torn(points: FloatArray, places: FloatArray, scale: float, triangles: IndexArray) -> bool:
-    """Whether the map tears a small mesh: teeth of an open mouth on a body whose mouth is closed."""
-    lengths = [np.linalg.norm(np.diff(of[triangles], axis=1), axis=2).sum() for of in (points, places)]
-    return bool(lengths[1] > _MAX_STRETCH * scale * lengths[0])
+def _torn_meshes(
+    points: FloatArray, places: FloatArray, triangles: Sequence[IndexArray], parts: Sequence[slice]
+) -> list[bool]:
+    """Whether meshes are small and torn, or lie at such a mesh, as lashes at eyes do; ``parts``: their rows."""
+    small = [_is_small(points[part]) for part in parts]
+    strains = [_strain(points, places, own) for own in triangles]
+    trees = [
+        cKDTree(points[part])
+        for part, strain, is_small in zip(parts, strains, small, strict=True)
+        if is_small and strain > _MAX_SMALL_STRAIN
+    ]
+    return [
+        is_small and any(np.median(tree.query(points[part])[0]) < _MAX_TORN_DISTANCE for tree in trees)
+        for part, is_small in zip(parts, small, strict=True)
+    ]
 
 
 def _similarity_around(frames: BodyFrames, points: FloatArray) -> tuple[FloatArray, float, FloatArray]:
