@@ -13,6 +13,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 from examples.shapes import creature, cube
+from pydantic import model_validator
 
 from cagemap.files.gltf.character import character_of
 from cagemap.files.gltf.document import read_document
@@ -30,6 +31,7 @@ from cagemap.files.result.manifest import MANIFEST, REMEDY
 from cagemap.files.result.maps import read_images
 from cagemap.files.result.merged_parts import merge_results
 from cagemap.files.result.surface_store import load_or_prepare, load_surface, save_surface
+from cagemap.files.schema import Record, parse_record
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.files.values.rigs import read_skeleton, write_shapes
 from cagemap.mesh import Plain
@@ -43,6 +45,17 @@ from gltf_scenes import arm
 from refusals import Refusal
 
 AGAIN = "Delete the file and prepare the surface again."
+
+
+class EndlessRecord(Record):
+    """A record whose check does not come to an end."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def check(cls, entries: Any) -> Any:
+        raise RecursionError
+
+
 STL = "solid s\n" + "vertex 1 2 3\n" * 2 + "vertex 1 2 e\nendsolid s\n"
 JOINT = {"name": "a", "head": [0, 0, 0], "tail": [0, 1, 0]}
 CURVE = {
@@ -160,7 +173,7 @@ REFUSED = {
         "Export it again in one of these formats.",
     ),
     "an image of another kind of numbers": Refusal(
-        picture("u.tif", oiio.UINT32), "u.tif: expected a flat image ... found 1 of uint.  ... Convert it first."
+        picture("u.tif", oiio.UINT32), "u.tif: expected a flat image ... found 1 of uint. Convert it first."
     ),
     "an image in a window without end": Refusal(
         picture("w.exr", oiio.FLOAT, full_width=1 << 17),
@@ -291,6 +304,9 @@ REFUSED = {
     ),
     "a plain mesh of more levels": Refusal(
         lambda place: stored(place, plain=True, level=3), "s.npz: level 3 of its mesh has not ... vertices", AGAIN
+    ),
+    "a record within records without end": Refusal(
+        lambda place: parse_record(EndlessRecord, {}, place / "s.json", AGAIN), "s.json: is nested too deeply.", AGAIN
     ),
     "a surface of another mesh": Refusal(of_another_mesh, "s.npz: its arrays do not belong to one surface (", AGAIN),
     "a surface of more functions than bands": Refusal(

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
+from cagemap.errors import FormatError
 from cagemap.files.gltf.document import read_document
 from cagemap.files.gltf.entries import read_accessor
 from cagemap.files.meshes.colors import to_unit_range
 from cagemap.files.meshes.formats import read_mesh, write_mesh
+
+from refusals import refuses
 
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=np.float64)
 V = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -135,6 +138,18 @@ def test_odd_stl_files_are_read(tmp_path: Path, name: str, capitals: bool, line_
     mesh = read_mesh(tmp_path / "mesh.stl")
     np.testing.assert_array_equal(mesh.positions, SQUARE)
     np.testing.assert_array_equal(mesh.face_indices, [0, 1, 2, 0, 2, 3])
+
+
+@pytest.mark.parametrize("extra", [-1, 0, 49, 50])
+def test_a_binary_stl_may_be_padded_by_less_than_a_triangle(tmp_path: Path, extra: int) -> None:
+    corners = SQUARE[[0, 1, 2, 0, 2, 3]].reshape(2, 9)
+    records = b"".join(struct.pack("<12fH", 0, 0, 0, *row, 0) for row in corners.tolist())
+    content = b"scan".ljust(80) + struct.pack("<I", 2) + records + bytes(50)
+    (tmp_path / "m.stl").write_bytes(content[: 84 + 100 + extra])
+    if not 0 <= extra < 50:
+        refuses(FormatError, "expected an STL file", read_mesh, tmp_path / "m.stl")
+        return
+    np.testing.assert_array_equal(read_mesh(tmp_path / "m.stl").positions, SQUARE)
 
 
 def _is_the_square(file: Path, content: bytes) -> None:

@@ -12,7 +12,7 @@ from cagemap.deform.placement import Placement
 from cagemap.errors import FormatError
 from cagemap.files.result.folder import ARRAYS, read_result, write_result
 from cagemap.files.result.manifest import MANIFEST, file_hash, landmark_messages, mesh_hash, note_transfer, sure_message
-from cagemap.files.result.merged_parts import merge_results
+from cagemap.files.result.merged_parts import _title, merge_results
 from cagemap.maps.hypotheses.confidence import LOOK, SIGN_BOUNDS, SURE, TWO, Confidence
 from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
@@ -171,6 +171,14 @@ def test_merged_parts_state_the_seconds_and_the_memory_of_all_parts() -> None:
     merged = merge_results(parts, {"parts": []}).manifest
     assert merged["timings"] == {"match": 5.0}
     assert merged["peak_memory_bytes"] == 300
+
+
+def test_a_part_is_named_by_its_object_if_its_file_has_several() -> None:
+    box = replace(cube(), face_objects=np.zeros(6, dtype=int), object_names=("box",))
+    mixed = replace(box, face_objects=np.arange(6) % 2, object_names=("box", "lid"))
+    named = box, replace(box, object_names=("box", "lid")), mixed, cube()
+    of_box = "part 'box' of 6 faces"
+    assert [_title(mesh) for mesh in named] == [of_box if mesh is named[1] else "the part of 6 faces" for mesh in named]
 
 
 def test_image_is_on_the_source(result: MatchResult) -> None:

@@ -32,6 +32,7 @@ from cagemap.files.usd.convert import document_and_character, usd_document
 from cagemap.files.usd.materials import STRENGTH
 from cagemap.files.usd.read import read_usd, read_usd_meshes
 from cagemap.files.usd.results import connect_texture, define_material, uv_reader
+from cagemap.files.usd.shaders import _as_bytes
 from cagemap.files.usd.write import write_usd
 from cagemap.tasks.material_atlas import material_atlas
 
@@ -414,3 +415,13 @@ def test_a_face_in_several_groups_is_written_into_each_and_names_are_kept_as_dis
     read = read_usd(tmp_path / "box.usda")
     assert read.group_names == ("one", "two", "", "one two")
     assert read.material_names == material_names(usd_document(tmp_path / "box.usda")) == ("Skin.001", "eye")
+
+
+def test_pixels_as_bytes_are_rounded_and_limited() -> None:
+    given = (
+        np.array([0, 128, 129, 65535], np.uint16),
+        np.array([-1.0, 0.0, 0.498, 0.5, 2.0]),
+        np.array([0, 1, 255], np.uint8),
+    )
+    for pixels, expected in zip(given, ([0, 0, 1, 255], [0, 0, 127, 128, 255], [0, 1, 255]), strict=True):
+        np.testing.assert_array_equal(_as_bytes(pixels), expected)

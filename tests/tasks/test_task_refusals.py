@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples.shapes import cube
+from examples.shapes import cube, pyramid
 from scipy import sparse
 
 from cagemap.character.values import Character, Part, Rig
@@ -17,7 +17,7 @@ from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
 from cagemap.mesh import ControlMesh
 from cagemap.tasks.face import run_face
-from cagemap.tasks.import_map import run_map
+from cagemap.tasks.import_map import _surface, run_map
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.face import FaceRequest
 from cagemap.tasks.requests.import_map import MapRequest
@@ -149,3 +149,7 @@ def test_what_cannot_be_wrapped_is_refused_before_the_match(tmp_path, monkeypatc
         run_wrap(
             WrapRequest((), tmp_path / "o.obj", target=tmp_path / target, source=tmp_path / "b.obj", **images), Stages()
         )
+
+
+def test_a_cage_of_mixed_faces_is_not_split_for_a_map() -> None:
+    assert _surface(pyramid(), 1).control.n_faces == pyramid().n_faces

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 from scipy import sparse
 
 from cagemap.character.values import Animation, Character, Part, Rig, ShapeTrack
@@ -16,9 +17,10 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_areas
 from cagemap.mesh.parts import extract_faces, join_meshes
 from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.schemes import Plain
 from cagemap.subdivision import with_options
 from cagemap.tasks.bodies import Bodies
-from cagemap.tasks.carry_character import _set_aside, carry_character, with_shape_weights
+from cagemap.tasks.carry_character import _left_out_note, _set_aside, carry_character, with_shape_weights
 from cagemap.tasks.compared_parts import compare_parts
 
 from command_line import Run
@@ -335,3 +337,16 @@ def test_feet_that_are_pieces_are_not_carried_to_a_body_with_feet() -> None:
     carried = carry_character(Character((whole,)), Character((cut,)))
     assert [part.name for part in carried.character.parts] == ["body"]
     assert "4 pieces of C.glb" in carried.notes[-1]
+
+
+def test_pieces_that_are_left_out_are_counted_without_those_that_are_kept() -> None:
+    """The kept piece has a smaller number, and the others two sizes."""
+    meshes = [ball("a", np.zeros(3), 0.1), cube(), ball("b", np.full(3, 9.0), 0.1)]
+    bare = [
+        replace(ControlMesh.from_faces(one.positions, [*map(one.face, range(one.n_faces))]), scheme=Plain())
+        for one in meshes
+    ]
+    pieces = Part("lashes", replace(join_meshes(bare), name="C.glb"))
+    bodies = Bodies((Part("t", replace(bare[0], name="B.glb")), pieces), (), None)
+    text = _left_out_note(bodies, pieces, np.arange(80))
+    assert text.startswith("2 pieces of C.glb (6 faces, 80 faces) not carried, since B.glb has its own"), text
