@@ -29,7 +29,7 @@ theirs = model.get_p2p(FM=model.zoomout_refine(nit=23, step=5))  # a source vert
 seconds = [time.perf_counter() - start]
 
 start = time.perf_counter()
-pair = research.make_pair(target, source, (marks, marks))
+pair = research.make_pair(target, source, np.column_stack([marks, marks]))
 ours = research.elastic(pair, research.from_bases(pair, first, psi1, psi2))
 seconds.append(time.perf_counter() - start)
 

@@ -36,7 +36,7 @@ from cagemap.maps.projection.project import unfold as _unfold
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.quality import judge as _judge
 from cagemap.mesh.cage_points import CagePoints
-from cagemap.mesh.inputs import control_mesh, landmark_pairs
+from cagemap.mesh.inputs import LandmarksLike, arrays_accepted, control_mesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
@@ -109,39 +109,34 @@ def prepare(mesh: Any, level: int, basis: BasisConfig = FULL_BASIS, name: str = 
     return prepare_surface(control_mesh(mesh, name), level, basis)
 
 
-@kinds_checked
+@arrays_accepted
 def make_pair(
-    target: Surface, source: Surface, landmarks: Any = ((), ()), symmetries: Sequence[SymmetryPair] = ()
+    target: Surface,
+    source: Surface,
+    landmarks: LandmarksLike | None = None,
+    symmetries: Sequence[SymmetryPair] = (),
 ) -> Pair:
     """Make a pair of prepared surfaces with landmarks and self-maps.
 
     Parameters
     ----------
     target, source : Surface
-    landmarks : Landmarks, array (p, 2) of pairs (target vertex, source vertex), or tuple of two arrays (p,)
-        Control vertices, 0-based.
+    landmarks : Landmarks or (p, 2) array, optional
+        As in `cagemap.match`; an array has rows (target vertex, source vertex).
     symmetries : sequence of ((n_0 target,), (n_0 source,)) arrays
         As in `Pair`; `cagemap.mesh.mirrors.mirror_symmetries` finds some.
 
     Raises
     ------
     ParameterError, InvalidLandmarksError
-        If the sides do not correspond one to one, a self-map is not one of control vertices, or a mesh with
+        If the landmarks are no pairs of vertices, a self-map is not one of control vertices, or a mesh with
         symmetries is plain.
     """
-    if isinstance(landmarks, tuple) and len(landmarks) == 2:
-        sides = [whole_numbers(side, "landmarks") for side in landmarks]
-        if sides[0].shape != sides[1].shape or sides[0].ndim != 1:
-            raise ParameterError(
-                "landmarks: expected two arrays (p,), as many target as source landmarks, got shapes "
-                f"{sides[0].shape} and {sides[1].shape}. Or give an array (p, 2) of pairs, or Landmarks."
-            )
-        landmarks = np.column_stack(sides)
     self_maps = symmetry_pairs(symmetries)
     for on_target, on_source in self_maps:
         check_symmetry(on_target, target.control)
         check_symmetry(on_source, source.control)
-    return Pair(target, source, point_pairs(target, source, landmark_pairs(landmarks)), self_maps)
+    return Pair(target, source, point_pairs(target, source, landmarks or Landmarks.none()), self_maps)
 
 
 @kinds_checked

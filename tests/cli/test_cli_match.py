@@ -286,7 +286,7 @@ def test_parameters_reach_the_method_they_belong_to():
         assert with_parameters(paper, [f"orthonormal={word}"]).paper.orthonormal is value
     refuses(ParameterError, "expected yes or no, got '2'", with_parameters, paper, ["orthonormal=2"])
     hfm = with_parameters(MatchConfig(method="hfm"), ["last=80", "signature_weight=0", "wave=4"]).hfm
-    assert (hfm.zoomout.last, hfm.descriptors.signature_weight, hfm.descriptors.wave) == (80, 0.0, 4)
+    assert (hfm.zoomout.last, hfm.signature_weight, hfm.wave) == (80, 0.0, 4)
     used = used_parameters(MatchConfig(method="hfm", hfm=hfm))
     assert (used["last"], used["wave"], used["factor"]) == (80, 4, hfm.zoomout.factor)
     assert with_parameters(MatchConfig(), ["first=12"]).start.zoomout.first == 12

@@ -130,7 +130,7 @@ def pair():
         for by in (1, [1.2, 1, 0.9])
     ]
     chosen = np.arange(0, mesh.n_vertices, 9)
-    return research.make_pair(*sides, (chosen, chosen))
+    return research.make_pair(*sides, np.column_stack([chosen, chosen]))
 
 
 def forms(pair):

@@ -58,7 +58,7 @@ def plain_pair() -> Pair:
     mesh = cagemap.plain_mesh((fine.positions, fine.faces)).mesh
     surface = research.prepare(mesh, 0, BasisConfig(count=30))
     vertices = np.arange(0, mesh.n_vertices, 100)
-    return research.make_pair(surface, surface, (vertices, vertices))
+    return research.make_pair(surface, surface, np.column_stack([vertices, vertices]))
 
 
 def test_a_level_map_is_a_map_for_every_step(plain_pair: Pair) -> None:

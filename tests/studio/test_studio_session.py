@@ -17,13 +17,12 @@ from cagemap.pictures import Z_UP
 from cagemap.studio.compute import FindMap, MapUpdate, OpenModels, ShowImage, ShowPosed, Task
 from cagemap.studio.finish import Command, FinishOptions
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.models import OpenedModel
+from cagemap.studio.page.shown import page_state
 from cagemap.studio.places import vertex_place
-from cagemap.studio.preview_tasks import ImageUpdate, OpenedPair
 from cagemap.studio.scene import map_point
 from cagemap.studio.session import Session
-from cagemap.studio.skins import Look, PreviewMap
-from cagemap.studio.state import MapState, Message, Output
+from cagemap.studio.skins import PreviewMap
+from cagemap.studio.state import MapState, Message, Output, View
 from cagemap.studio.worker import CANCELLED_KIND, STOPPED_KIND, Failure
 from cagemap.surface.closest_points import build_tree, closest_points
 
@@ -446,28 +445,14 @@ def test_another_image_of_the_open_models_is_drawn_and_nothing_else_changes(open
         (boxes / name).unlink()
 
 
-def test_a_source_without_image_and_colours_shows_the_colours_of_the_map(opened, monkeypatch):
-    update = ImageUpdate(opened.scene.skins, Path("b.png"), ())
-    monkeypatch.setattr(opened, "_load_initial_landmarks", lambda: None)
-    scene, files = opened.scene, opened.state.files
+def test_a_source_without_image_and_colours_shows_the_colours_of_the_map(opened: Session) -> None:
+    def shown(texture: Path | None, *, has_colors: bool, mode: str) -> str:
+        state = replace(opened.state, view=View(mode), files=replace(opened.state.files, texture=texture))
+        entries = page_state(state, replace(opened.scene, has_colors=has_colors), opened.workspace, {})
+        return entries["view"]["mode"]
 
-    def open_models(mode: str, texture: Path | None, *, colors: np.ndarray | None = None) -> str:
-        opened.show(replace(opened.state.view, mode=mode))
-        look = Look(colors=colors)
-        models = [OpenedModel(shape, look, 1, None) for shape in (scene.target, scene.source)]
-        opened._apply_models(OpenedPair(models[0], replace(models[1], texture=texture), scene.skins))
-        return opened.state.view.mode
-
-    assert open_models("texture", None) == "colours"
-    assert open_models("checker", None) == "checker"  # the user's choice stays
-    assert open_models("texture", None, colors=np.ones((6, 3))) == "texture"
-    assert open_models("texture", Path("a.png")) == "texture"
-    for mode, seen in (("colours", "texture"), ("plain", "plain")):
-        opened.show(replace(opened.state.view, mode=mode))
-        task = ShowImage(opened._preview.pair_files, None)
-        opened._change(files=replace(files, texture=None))
-        opened._apply_result(task, update, is_unchecked=False)
-        assert opened.state.view.mode == seen
-        opened.show(replace(opened.state.view, mode=mode))
-        opened._apply_result(task, update, is_unchecked=False)  # turned upright: the same image again
-        assert opened.state.view.mode == mode
+    assert shown(None, has_colors=False, mode="texture") == "colours"
+    assert shown(None, has_colors=True, mode="texture") == "texture"
+    assert shown(Path("a.png"), has_colors=False, mode="texture") == "texture"
+    for mode in ("checker", "plain", "colours"):
+        assert shown(None, has_colors=False, mode=mode) == mode

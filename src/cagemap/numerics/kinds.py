@@ -35,7 +35,7 @@ _SOURCES = {
     "PointMap": "a result has one, as `result.point_map`; PointMap.from_vertices makes one",
     "PreparedPair": "prepare_pair gives one",
     "Refinement": "refine gives one; a Surface has one, as `surface.refinement`",
-    "Surface": "prepare_surface gives one, read_mesh reads a mesh file",
+    "Surface": "prepare_surface(MESH, LEVEL) gives one, read_mesh(PATH) a mesh",
     "Transfer": "transfer_of gives one",
     "TriangleSurface": "`surface.triangles(level)` gives one",
 }

@@ -82,12 +82,12 @@ class PreviewResults(LandmarkEdits):
         with self._lock:
             self._scene, self._computed, self._requested_parts = None, None, requested_parts
             job, fields, before = RunningJob(OPENING_TITLE), dict(INITIAL_FIELDS), self._state.files
-            models, view = (files.target, files.source), map_view(self._state.view)
+            models = files.target, files.source
             if before is None or (before.target, before.source) != models:
-                fields["models"], view = models, view.with_image()
+                fields["models"] = models
             if files.recorded_match is not None:
                 fields["map"] = MapState(sought_answer=files.recorded_match.answer_name)
-            self._change(files=files, view=view, preview_job=job, **fields)
+            self._change(files=files, view=map_view(self._state.view), preview_job=job, **fields)
             self._preview.open(files)
 
     def _preview_inputs(self) -> tuple[LandmarkList, PreviewMap | None, int | str]:
@@ -124,8 +124,7 @@ class PreviewResults(LandmarkEdits):
             case _, ImageUpdate(skins, texture, notes):
                 self._show_skins(skins)
                 if files is not None:
-                    view = self._state.view if texture in (None, files.texture) else self._state.view.with_image()
-                    self._change(files=replace(files, ups=ups, texture=texture), view=view)
+                    self._change(files=replace(files, ups=ups, texture=texture))
                 self._say_all(notes)
             case ShowBaked(image=image), bytes() as skin:
                 if image == self._state.view.baked:
@@ -191,8 +190,6 @@ class PreviewResults(LandmarkEdits):
                 self._say_all((*recorded.notes, *notes))
                 files = replace(files, recorded_match=replace(recorded, notes=()))
             self._change(files=replace(files, schemes=schemes, welds=welds, texture=source.texture))
-            if source.texture is None and not self._scene.has_colors:
-                self._change(view=self._state.view.without_image())
         self._say_all(target.notes + source.notes)
         self._load_initial_landmarks()
 

@@ -59,9 +59,9 @@ class Files:
 class View:
     """How the models are shown."""
 
-    # "texture": the source's image, on the target through the map; "colours" and "checker": patterns on the source, on
-    # the target through the map; "plain": both models without the map; "baked": a baked image in the target's own
-    # layout
+    # "texture": the source's image or colours, on the target through the map (see `shown.shown_mode`); "colours" and
+    # "checker": patterns on the source, on the target through the map; "plain": both models without the map; "baked": a
+    # baked image in the target's own layout
     mode: Mode = "texture"
     cages: bool = False  # show control meshes as lines
     symmetric: bool = True  # add the mirror image of a new landmark on symmetric models
@@ -70,14 +70,6 @@ class View:
     other_parts: bool = True  # show parts that are not open, in grey
     baked: Path | None = None  # image of mode "baked"
     pose: str = ""  # name of the pose in which both models are shown, one of `MapState.poses`; '' for none
-
-    def with_image(self) -> View:
-        """The view of a source with an image: the image, where the colours of the map were shown."""
-        return replace(self, mode="texture" if self.mode == "colours" else self.mode)
-
-    def without_image(self) -> View:
-        """The view of a source without image and colours: the colours of the map instead of a grey model."""
-        return replace(self, mode="colours" if self.mode == "texture" else self.mode)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from cagemap.studio.page.words import bake_hint, confidence_text, status_entries
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene
 from cagemap.studio.shape import Shape
-from cagemap.studio.state import MODES, Files, Output, Probe, StudioState
+from cagemap.studio.state import MODES, Files, Mode, Output, Probe, StudioState
 from cagemap.studio.workspace import LANDMARK_SUFFIXES, UPLOAD_SUFFIXES, Workspace
 
 # Colours of landmarks and curves, in their order.
@@ -58,7 +58,7 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "models": None if scene is None else {side: _model_entry(scene, side) for side in SIDES},
         "symmetric": scene is not None and all(mirror is not None for mirror in scene.mirrors),
         "drawn": keys,
-        "view": {name: getattr(view, name) for name in _VIEW_FIELDS},
+        "view": {name: getattr(view, name) for name in _VIEW_FIELDS} | {"mode": shown_mode(state, scene)},
         "poses": map_state.poses,
         "baked": "" if view.baked is None else view.baked.name,
         "images": [path.name for path in state.baked_images],
@@ -85,6 +85,12 @@ def page_state(state: StudioState, scene: Scene | None, workspace: Workspace, ke
         "bake_hint": bake_hint(state, scene),
         "baking": state.finish_job is not None,
     }
+
+
+def shown_mode(state: StudioState, scene: Scene | None) -> Mode:
+    """The view's mode; the colours of the map instead of the texture of a source without image and colours."""
+    is_bare = scene is not None and not scene.has_colors and state.files is not None and state.files.texture is None
+    return "colours" if is_bare and state.view.mode == "texture" else state.view.mode
 
 
 def line_drawing(state: StudioState, scene: Scene, side: Side, *, cage: bool) -> bytes:
