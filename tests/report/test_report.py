@@ -20,7 +20,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.mesh_report import FileVertex
 from cagemap.report import CarriedData, CarriedItem, Gallery, Weights, build_page, draw_carried, draw_gallery
-from cagemap.report.figures import BACKGROUND, display_image
+from cagemap.report.figures import BACKGROUND, _checker, display_image
 from cagemap.report.rig_panels import MAX_PANEL_POSES, cage_edges, control_edges
 from cagemap.subdivision.refinement import finest_mesh
 from cagemap.tasks.match_summary import match_figures, summary, warnings
@@ -342,3 +342,10 @@ def test_a_wrap_of_the_finest_level_is_drawn(result: MatchResult) -> None:
     wrapped = finest_mesh(result.target.refinement)
     (panel,) = draw_carried(result, CarriedData(wrapped=wrapped), SIZE)
     assert len(panel.pictures) == 8
+
+
+def test_a_checker_of_one_vertex() -> None:
+    """Of an extent of 0, it has cells of one 28th of a unit."""
+    point, steps = np.array([[1.0, 2.0, 3.0]]), np.array([[0.5, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0]])
+    light, dark = [0.93, 0.90, 0.84], [0.20, 0.45, 0.55]
+    np.testing.assert_array_equal(_checker(point + steps / 28, point), [light, dark, light])
