@@ -87,7 +87,13 @@ def test_values_of_another_kind_are_refused_by_the_name_of_their_parameter(funct
 
 
 def test_a_refusal_says_what_was_given_and_where_the_right_thing_comes_from() -> None:
-    refuses(ParameterError, r"got a ControlMesh; prepare_surface.MESH, LEVEL. gives one", cagemap.prepare_pair, cube(), cube())
+    refuses(
+        ParameterError,
+        r"got a ControlMesh; prepare_surface.MESH, LEVEL. gives one",
+        cagemap.prepare_pair,
+        cube(),
+        cube(),
+    )
     with pytest.raises(ParameterError, match=r"control: expected ControlMesh, got 'a.obj'; read_mesh or"):
         cagemap.prepare_surface("a.obj", 1)
     refuses(ParameterError, r"levels: expected a whole number, got 1.5", cagemap.refine, cube(), 1.5)
