@@ -286,10 +286,10 @@ def test_closest_points_among_few_triangles_are_those_of_plain_numpy() -> None:
     starts = rng.integers(0, 100, size=200)
     ranges = np.column_stack([starts, starts + rng.integers(1, 9, size=200)])
     candidates = rng.integers(0, 40, size=120)
-    triangle, barycentric = closest_among(corners, ranges, candidates, points)
+    places, up = corners.reshape(-1, 3), np.zeros((1, 3))
+    triangle, barycentric = closest_among(places, np.arange(120).reshape(40, 3), ranges, candidates, points)
     assert barycentric.min() >= 0
     assert np.allclose(barycentric.sum(axis=1), 1)
-    places, up = corners.reshape(-1, 3), np.zeros((1, 3))
     for i, (first, last) in enumerate(ranges):
         mine = candidates[first:last]
         assert triangle[i] in mine

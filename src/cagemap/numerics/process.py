@@ -16,7 +16,8 @@ from cagemap.errors import MissingLibraryError
 GC_THRESHOLD = 1_000_000
 # Seconds that a thread returning from a kernel waits at most for one that runs Python; Python's default is 0.005.
 SWITCH_INTERVAL = 0.0005
-# Parameters of glibc's malloc (mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD, M_MMAP_THRESHOLD (at most 32 MB).
+# Parameters of glibc's malloc (mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD, M_MMAP_THRESHOLD. Larger arrays go back to
+# the system when they are freed.
 MALLOC = {-8: 2, -1: 1 << 30, -3: 16 << 20}
 
 
