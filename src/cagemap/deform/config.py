@@ -156,7 +156,9 @@ class CoincidenceConfig(Config):
     """Test whether two surfaces coincide (`maps.coincidence`); lengths are in units of sqrt(source area)."""
 
     mean_gap: float = 0.003  #: largest mean distance of vertices from the other mesh
-    max_gap: float = 0.01  #: distance of `min_share` of them; one body has up to 0.0085, two from 0.048 on
+    max_gap: float = (
+        0.01  #: largest distance of the share `min_share` of them; one body has up to 0.0085, two from 0.048 on
+    )
     max_distance: float = 0.03  #: a point farther from the other surface is not on it
     #: largest mean distance, of sqrt(target area): eyes have up to 0.21, a chair in metres at one in millimetres 0.33
     max_gap_of_target: float = 0.25

@@ -34,7 +34,7 @@ from cagemap.surface.triangles import normalize_rows
 
 
 class SurfaceSamples(NamedTuple):
-    """Points (m, 3) of a surface, with normals (m, 3) and the areas (m,) that they stand for."""
+    """Points (m, 3) of a surface, with normals (m, 3) and the areas (m,) that they stand for, at any scale."""
 
     points: FloatArray
     normals: FloatArray
@@ -91,14 +91,16 @@ def source_to_target(
     The residual r = n . (q - sum_k b_k x_k) of a source vertex q is given to each corner of the triangle that holds its
     closest point, with weight b_k: an upper bound of the true term (Jensen), equal at the current positions.
     """
-    points, planes, areas = samples
+    points, sample_normals, areas = samples
     tree = build_tree(positions, target.triangles)
-    triangles, barycentric, _ = closest_points(tree, points, planes, normal_weight=config.normal_weight, guess=guess)
+    triangles, barycentric, _ = closest_points(
+        tree, points, sample_normals, normal_weight=config.normal_weight, guess=guess
+    )
     corners = target.triangles[triangles]
     own_closest = curved_points(positions[corners], normals[corners], barycentric)
-    residual = np.einsum("nd,nd->n", planes, points - own_closest)
+    residual = np.einsum("nd,nd->n", sample_normals, points - own_closest)
     facing = tree.normals_of(triangles)
-    shares = areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
+    shares = areas * np.clip(np.einsum("nd,nd->n", facing, sample_normals), 0.0, 1.0)
     trips = np.einsum("mk,mkd->md", barycentric, closest[corners]) - points
     shares *= round_trip_weights(trips, residual, alpha, config.data) * ~target.at_boundary(triangles, barycentric)
     if masks.target is not None:
@@ -108,8 +110,8 @@ def source_to_target(
         ((shares[:, None] * barycentric).ravel(), corners.ravel(), 3 * np.arange(len(points) + 1)),
         shape=(len(positions), len(points)),
     )
-    outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
-    gathered = gather @ np.hstack([outer, residual[:, None] * planes, np.ones((len(points), 1))])
+    outer = (sample_normals[:, :, None] * sample_normals[:, None, :]).reshape(-1, 9)
+    gathered = gather @ np.hstack([outer, residual[:, None] * sample_normals, np.ones((len(points), 1))])
     blocks = gathered[:, :9].reshape(-1, 3, 3)
     right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
     return blocks, right, gathered[:, 12], triangles
@@ -127,10 +129,13 @@ def source_to_clusters(
     Only source-to-target terms detect a short leg inside a long one. The plane has the mean of both normals (symmetric
     ICP, Rusinkiewicz 2019).
     """
-    points, planes, areas = samples
+    points, sample_normals, areas = samples
     tree = cKDTree(np.hstack([positions, config.normal_weight * normals]))
-    nearest = np.asarray(tree.query(np.hstack([points, config.normal_weight * planes]))[1], dtype=np.int64)
-    between, facing = normalize_rows(planes + normals[nearest]), np.einsum("md,md->m", planes, normals[nearest])
+    nearest = np.asarray(tree.query(np.hstack([points, config.normal_weight * sample_normals]))[1], dtype=np.int64)
+    between, facing = (
+        normalize_rows(sample_normals + normals[nearest]),
+        np.einsum("md,md->m", sample_normals, normals[nearest]),
+    )
     shares = areas * np.clip(facing, 0.0, 1.0) * masks.of_target(len(positions))[nearest]
     planes_between = between[:, :, None] * between[:, None, :]
     right = np.einsum("mab,mb->ma", planes_between, points)

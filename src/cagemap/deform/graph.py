@@ -106,21 +106,9 @@ class ElasticGraph:
 
     def cells(self, count: int, config: GraphConfig) -> IndexArray:
         """(n,) connected grid cell of every vertex in position and normal, about ``count`` cells; cached."""
-        if (count, config) in self._known_cells:
-            return self._known_cells[count, config]
-        width, cell = np.sqrt(1.0 / count), np.zeros(self.n, dtype=np.int64)
-        least, most = config.cell_counts
-        for _ in range(config.cell_rounds):
-            features = np.hstack([self.positions, 0.5 * width * self.normals]) / width
-            keys = np.floor(features - features.min(axis=0)).astype(np.int64)
-            counts = keys.max(axis=0) + 1
-            _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
-            cell = connected_cells(self, cell.ravel(), config)
-            cell_count = int(cell.max()) + 1
-            if least * count <= cell_count <= most * count or (cell_count == self.n and count >= self.n):
-                break
-            width *= np.sqrt(cell_count / count)
-        return self._known_cells.setdefault((count, config), read_only(cell))
+        if (count, config) not in self._known_cells:
+            self._known_cells[count, config] = read_only(_cells(self, count, config))
+        return self._known_cells[count, config]
 
     @kept
     def moments(self) -> sparse.csr_array:
@@ -176,6 +164,24 @@ class ElasticGraph:
         for _ in range(count):
             inside[self.heads[inside[self.tails]]] = True
         return np.flatnonzero(inside)
+
+
+def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
+    """(n,) connected grid cell in position and normal, for about ``count`` cells."""
+    width = np.sqrt(1.0 / count)
+    cell = np.zeros(graph.n, dtype=np.int64)
+    least, most = config.cell_counts
+    for _ in range(config.cell_rounds):
+        features = np.hstack([graph.positions, 0.5 * width * graph.normals]) / width
+        keys = np.floor(features - features.min(axis=0)).astype(np.int64)
+        counts = keys.max(axis=0) + 1
+        _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
+        cell = connected_cells(graph, cell.ravel(), config)
+        cell_count = int(cell.max()) + 1
+        if least * count <= cell_count <= most * count or (cell_count == graph.n and count >= graph.n):
+            break
+        width *= np.sqrt(cell_count / count)
+    return cell
 
 
 def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig = GraphConfig()) -> IndexArray:

@@ -7,6 +7,7 @@ the coarse graph, but does on the mesh (docs/lab/fit_experiments.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,12 @@ from cagemap.spectral.zoomout import (
 # Landmarks from which on they give a start of their own; fewer only restrict the search.
 FEWEST_LANDMARKS = 3
 
-# Coarse fits from two starts, ZoomOut and the constrained points alone; and ZoomOut's start (k, 3), for other stages.
-StartFits = tuple[list[Placement], FloatArray]
+
+class StartFits(NamedTuple):
+    """Coarse fits from two starts, ZoomOut and the constrained points alone; and ZoomOut's start, for other stages."""
+
+    placements: list[Placement]
+    start: FloatArray  # (k, 3)
 
 
 def fit_from_two_starts(
@@ -64,7 +69,7 @@ def fit_from_two_starts(
     distance = mean_distance(coarse[0].positions, coarse[1].positions, areas)
     if distance <= search.max_start_distance and rotation <= search.max_limb_rotation:
         return fine, []
-    return fine, fit_both_starts(problem, clusters, first)[0]
+    return fine, fit_both_starts(problem, clusters, first).placements
 
 
 def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | None = None) -> StartFits:
@@ -72,7 +77,7 @@ def fit_both_starts(problem: Problem, clusters: Clusters, start: FloatArray | No
     with ThreadPool(1) as pool:  # at the same time as ZoomOut
         from_points = pool.submit(lambda: coarse_fit(problem, landmark_start(problem, clusters), clusters))
         start = zoomout_start(problem, clusters) if start is None else start
-        return [coarse_fit(problem, start, clusters), from_points.result()], start
+        return StartFits([coarse_fit(problem, start, clusters), from_points.result()], start)
 
 
 def zoomout_start(problem: Problem, clusters: Clusters) -> FloatArray:

@@ -8,6 +8,8 @@ nor the fine mesh are needed. The result is close to that of the whole fit, at a
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
@@ -54,6 +56,7 @@ def displacement_response(
         blocks, right = blocks + terms[0], right + terms[1]
     blocks[vertices] = landmark_weight * np.eye(3)
     right[vertices] = landmark_weight * offsets
+    constant = replace(stage, stiffness=(stage.stiffness[-1], stage.stiffness[-1]))  # one factorisation
     both = VertexTerms(energy, blocks, right, constant=True)
-    displacements = minimise(graph, energy.differentials, both, np.zeros((graph.n, 3)), stage)
+    displacements = minimise(graph, energy.differentials, both, np.zeros((graph.n, 3)), constant)
     return displacements, energy.maps(displacements)

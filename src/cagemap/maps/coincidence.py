@@ -68,7 +68,7 @@ class Coincidence:
             found: list[Coincidence] = []
             for own, other, mapped in shapes:
                 motions = aligning_motions(own, other, config) if factor is None else [Motion(scale=factor)]
-                whole = config if factor is not None else replace(config, min_within_boundary=1.0)  # no holes
+                whole = config if factor is not None else replace(config, min_within_boundary=1.0)  # holes count
                 gaps = [_gap(moved(own, motion), other, masks.target, whole) for motion in motions]
                 close = [(gap, motion) for gap, motion in zip(gaps, motions, strict=True) if gap is not None]
                 if len(close) > 1:

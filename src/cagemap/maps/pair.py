@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -136,7 +135,8 @@ class Pair:
         return near_vertices(self.landmarks.source, self.source)
 
 
-class CurveMiss(NamedTuple):
+@dataclass(frozen=True)
+class CurveMiss:
     """Distances between the image of a curve and its counterpart, both ways, of sqrt(area)."""
 
     name: str

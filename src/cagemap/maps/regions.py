@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangles import corner_sums
 
 
-class RegionFigures(NamedTuple):
+@dataclass(frozen=True)
+class RegionFigures:
     """Median stretch of a map over the region of the target around one landmark."""
 
     landmark: str  #: name of the landmark

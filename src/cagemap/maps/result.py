@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,8 @@ NOTHING_SHARED = (
 )
 
 
-class SpectralMap(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class SpectralMap:
     """Functional map between two bases, and their eigenvalues."""
 
     functional_map: FloatArray  # (k1, k2) C12, takes source coefficients to target coefficients
@@ -220,7 +221,7 @@ class MatchResult:
             "landmark_check": self.landmark_check.summary(),
             "confidence": None if self.confidence is None else self.confidence.summary(),
             **({"shared_area": dict(zip(("target", "source"), shares, strict=True))} if shares else {}),
-            "curves": [miss._asdict() for miss in self.curve_misses],
+            "curves": [asdict(miss) for miss in self.curve_misses],
             "timings": dict(self.timings),
             "bases": {"target": asdict(self.target.config), "source": asdict(self.source.config)},
             **self.provenance,

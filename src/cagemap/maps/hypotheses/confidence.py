@@ -29,43 +29,40 @@ from cagemap.surface.polylines import Polyline
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
 
-# Signs of a wrong map, and their largest values for the verdict "sure", in the order of a message. How each bound was
-# chosen and judged: docs/lab/judge.md.
-SIGN_BOUNDS: dict[str, float] = {
+# Signs of a wrong map: the largest value for the verdict "sure", and the message to the user above it, in the order of
+# messages. How each bound was chosen and judged: docs/lab/judge.md.
+SIGNS: dict[str, tuple[float, str]] = {
     # `mirrored_gain`: cost on the source, divided by the cost on its mirror image.
-    "mirrored": 1.2,
+    "mirrored": (
+        1.2,
+        "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or "
+        "poses with left and right exchanged. If so, mirror one of the files",
+    ),
     # Share of the target's area at which the map jumps: distant parts of the target are on one place of the source.
-    "jumps": 0.03,
+    "jumps": (0.03, "it jumps between parts that only touch, at {percent:.0f} % of the target"),
     # Share of the larger surface without a counterpart, if `stretched` is beyond its bound at equal area only.
-    "small_part": 1.0 - WHOLE_SHARE,
+    "small_part": (
+        1.0 - WHOLE_SHARE,
+        "{percent:.0f} % of the larger model has no counterpart, and so small a part may fit in other places too",
+    ),
     # Median `distortion`, by the target's area. Both surfaces have unit area, parts too: relative to the shared area,
     # wrong places of small parts were 'sure' (docs/lab/parts.md).
-    "stretched": 1.55,
+    "stretched": (
+        1.55,
+        "with both at equal area, it stretches or compresses half of the target {value:.1f} times or more",
+    ),
     # The same of coincident surfaces in one unit. Clothes have up to 1.45, a cup inside the wall of a larger one 1.81.
-    "squeezed": 1.55,
+    "squeezed": (1.55, "the closest points stretch or compress half of the target {value:.1f} times or more"),
     # Share of the target's area that another answer of nearly equal cost turns by `TURNED_DEGREES` degrees or more.
-    "limb_turned": 0.08,
+    "limb_turned": (0.08, "a map that rotates {percent:.0f} % of the target otherwise fits almost as well"),
     # Cost x 1e4 of an answer that turns the files' axes; 0 for others.
-    "turned": 1.0,
+    "turned": (1.0, "files seldom stand in different directions, and the shapes differ"),
     # Cost x 1e4: mean squared distances both ways, and the elastic energy, at unit area.
-    "cost": 7.0,
+    "cost": (7.0, "the shapes differ much"),
     # Cost divided by that of the second answer; 0 if there is none.
-    "runner_up": 1 / 1.3,
+    "runner_up": (1 / 1.3, "another alignment fits almost as well"),
 }
-# Messages to the user above the bounds.
-SIGN_MESSAGES: dict[str, str] = {
-    "mirrored": "it fits the source's mirror image {value:.1f} times as well: a left part on a right one, or poses "
-    "with left and right exchanged. If so, mirror one of the files",
-    "jumps": "it jumps between parts that only touch, at {percent:.0f} % of the target",
-    "small_part": "{percent:.0f} % of the larger model has no counterpart, and so small a part may fit in other places "
-    "too",
-    "stretched": "with both at equal area, it stretches or compresses half of the target {value:.1f} times or more",
-    "squeezed": "the closest points stretch or compress half of the target {value:.1f} times or more",
-    "limb_turned": "a map that rotates {percent:.0f} % of the target otherwise fits almost as well",
-    "turned": "files seldom stand in different directions, and the shapes differ",
-    "cost": "the shapes differ much",
-    "runner_up": "another alignment fits almost as well",
-}
+SIGN_BOUNDS = {name: bound for name, (bound, _) in SIGNS.items()}
 # Least `runner_up` for the verdict 'two answers'.
 TIE = 1 / 1.12
 # Least jump, of sqrt(area): a distance along the target, less twice the distance of the images along the source.
@@ -96,7 +93,7 @@ class Confidence:
     #: different placements of the deformed level's vertices, the best first; in a result, of all vertices of a plain
     #: target
     answers: tuple[Placement, ...]
-    signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `SIGN_BOUNDS`
+    signs: Mapping[str, float] = field(default_factory=dict)  #: measured values of `SIGNS`
     deciding: int | None = None  #: control vertex of the target where a landmark would decide
     file_vertex: FileVertex | None = None  #: this vertex in the target's file
     part: str = ""  #: name of the part, if a result has several
@@ -186,14 +183,14 @@ def cost_signs(answers: tuple[Placement, ...]) -> dict[str, float]:
 
 def describe_signs(signs: Mapping[str, float]) -> list[str]:
     """Messages to the user about the signs above their bounds."""
-    beyond = [(SIGN_MESSAGES[name], signs[name]) for name, bound in SIGN_BOUNDS.items() if signs.get(name, 0.0) > bound]
+    beyond = [(text, signs[name]) for name, (bound, text) in SIGNS.items() if signs.get(name, 0.0) > bound]
     return [message.format(value=value, percent=100 * value) for message, value in beyond]
 
 
 def answer_confidence(
     problem: Problem, point_map: PointMap, answers: tuple[Placement, ...], shared: Masks | None, jumps: FloatArray
 ) -> Confidence:
-    """Confidence in the map of the first of several answers, from the `SIGN_BOUNDS` of a wrong map.
+    """Confidence in the map of the first of several answers, from the `SIGNS` of a wrong map.
 
     ``jumps`` are the map's `jump_lengths` (n,). Area that is masked or not shared is ignored.
     """

@@ -22,7 +22,7 @@ from cagemap.maps.hypotheses.confidence import AS_GIVEN, TWO, Confidence, cost_s
 from cagemap.maps.hypotheses.search import search_placements
 from cagemap.maps.hypotheses.starts import mutually_nearest
 from cagemap.maps.landmarks.suspects import (
-    Points,
+    OrientedPoints,
     exchanged_sides,
     misplaced_pairs,
     orientation_agreement,
@@ -162,11 +162,11 @@ def suspected_pairs(problem: Problem, left_out: Collection[int] = ()) -> tuple[d
         return {}, [CONTRADICTION]
     if len(misplaced):
         return dict.fromkeys(kept[misplaced].tolist(), DISTANCES), []
-    exchanged = exchanged_sides(distances, *_points(problem), config)
+    exchanged = exchanged_sides(distances, *_oriented_points(problem), config)
     return dict.fromkeys(kept[list(exchanged or ())].tolist(), SIDES), []
 
 
-def _points(problem: Problem) -> tuple[Points, Points]:
+def _oriented_points(problem: Problem) -> tuple[OrientedPoints, OrientedPoints]:
     """Positions and normals of the landmarks of target and source."""
     sides = zip(problem.prepared.graphs, problem.landmark_vertices, strict=True)
     target, source = ((graph.positions[landmarks], graph.normals[landmarks]) for graph, landmarks in sides)
@@ -271,7 +271,7 @@ def check_mirrored(
     landmarks, config = problem.landmarks, problem.prepared.elastic.landmarks
     if len(landmarks) < config.fewest_judged:
         return None, check
-    if orientation_agreement(*_points(problem.without(outliers)), config) > config.mirrored_agreement:
+    if orientation_agreement(*_oriented_points(problem.without(outliers)), config) > config.mirrored_agreement:
         return None, check
     best = search_placements(problem.without(range(len(landmarks))), progress)[0]
     if given.cost < config.min_mirrored_cost * best.cost:

@@ -37,8 +37,8 @@ LANDMARKS_AT_ONCE = 32  # number of landmarks whose blocks of H are computed at 
 # Geodesic distances (p, m) from p landmarks on one surface to the vertices of a coarse graph, the landmarks first
 # (`cagemap.deform.problem.Problem.landmark_distances`).
 Distances = FloatArray
-Points = tuple[FloatArray, FloatArray]  # positions and unit normals (p, 3) of landmarks on one surface
-System = tuple[sparse.csc_array, FloatArray]  # K (m, m) and b (m,) of ``z^T K z - 2 z^T b`` of the strain
+OrientedPoints = tuple[FloatArray, FloatArray]  # positions and unit normals (p, 3) of landmarks on one surface
+StrainSystem = tuple[sparse.csc_array, FloatArray]  # K (m, m) and b (m,) of ``z^T K z - 2 z^T b`` of the strain
 
 
 def misplaced_pairs(target: Distances, source: Distances, config: LandmarkConfig = LandmarkConfig()) -> IndexArray:
@@ -178,7 +178,10 @@ def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 
 def exchanged_sides(
-    distances: tuple[Distances, Distances], target: Points, source: Points, config: LandmarkConfig = LandmarkConfig()
+    distances: tuple[Distances, Distances],
+    target: OrientedPoints,
+    source: OrientedPoints,
+    config: LandmarkConfig = LandmarkConfig(),
 ) -> tuple[int, int] | None:
     """The two pairs whose orientations agree only with source points exchanged; None if there are none."""
     p = len(target[0])
@@ -200,7 +203,9 @@ def exchanged_sides(
     return best
 
 
-def agreement_around(places: tuple[int, int], target: Points, source: Points, near: FloatArray, flat: float) -> float:
+def agreement_around(
+    places: tuple[int, int], target: OrientedPoints, source: OrientedPoints, near: FloatArray, flat: float
+) -> float:
     """`orientation_agreement` of triples with one of two landmarks, weighted by nearness (p, p): bodies bend."""
     agreed = counted = asked = 0.0
     for i in places:
@@ -215,7 +220,9 @@ def agreement_around(places: tuple[int, int], target: Points, source: Points, ne
     return agreed / max(counted, flat * asked, 1e-12)
 
 
-def orientation_agreement(target: Points, source: Points, config: LandmarkConfig = LandmarkConfig()) -> float:
+def orientation_agreement(
+    target: OrientedPoints, source: OrientedPoints, config: LandmarkConfig = LandmarkConfig()
+) -> float:
     """Agreement of the landmarks' orientation on both surfaces: 1 the same, -1 mirrored, 0 unknown.
 
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
@@ -248,7 +255,7 @@ def _orientations_at(j: int, positions: FloatArray, normals: FloatArray) -> Floa
 
 def strain_system(
     graph: ElasticGraph, images: FloatArray, normals: FloatArray, landmarks: IndexArray, config: ElasticConfig
-) -> System:
+) -> StrainSystem:
     """Matrix and right side of the quadratic problem at images (n, 3) with the source's normals (n, 3) there.
 
     Landmarks (p,) are its first vertices. Unknown 12 i + c is coordinate c of x_i, 12 i + 3 + 3 b + c is A_i[c, b].
@@ -271,12 +278,12 @@ def strain_system(
 
 
 def strained_pair(
-    system: System, places: FloatArray, strains: FloatArray, config: LandmarkConfig = LandmarkConfig()
+    system: StrainSystem, places: FloatArray, strains: FloatArray, config: LandmarkConfig = LandmarkConfig()
 ) -> int | None:
     """The one landmark that would move far if released, by lengths (p,) of `released_shifts`; else None."""
-    if len(places) < config.fewest_strained:
-        return None
     worst = int(np.argmax(strains))
+    if len(places) < config.fewest_strained or strains[worst] < config.min_strain:
+        return None
     # Measured again without the worst one, as a wrong landmark strains its neighbours.
     others = np.delete(np.arange(len(places)), worst)
     moved_next = np.linalg.norm(released_shifts(system, places[others], position_rows(len(places))[others]), axis=1)
@@ -284,7 +291,7 @@ def strained_pair(
     return worst if strains[worst] >= least else None
 
 
-def released_shifts(system: System, places: FloatArray, rows: IndexArray) -> FloatArray:
+def released_shifts(system: StrainSystem, places: FloatArray, rows: IndexArray) -> FloatArray:
     """(p, 3) shift of every landmark at places (p, 3), with unknowns rows (p, 3), if it alone is released.
 
     Only diagonal blocks of H, a Schur complement, are computed: with thousands of landmarks it would fill the memory.

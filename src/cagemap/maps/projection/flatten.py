@@ -10,7 +10,7 @@ there.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -34,7 +34,8 @@ from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import row_lengths
 
 
-class Disc(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Disc:
     """A piece of a surface that is topologically a disc."""
 
     vertices: IndexArray  # (n,) of the surface
