@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 from cagemap.operators.laplacian import stiffness, vertex_areas
 
 

@@ -182,12 +182,13 @@ def runs(of: str, vertices: int) -> Iterator[Run]:
 def figures(variant: Variant, all_runs: list[Run], constraints: Callable[[Pair, ConstraintConfig], Any]) -> np.ndarray:
     """(runs, 2) mean error x100 of sqrt(area) and folded area in percent."""
     module, find = (hfm, hfm_map) if isinstance(variant.config, HfmConfig) else (method, paper_map)
-    rows = []
+    rows, c = [], variant.config
+    descriptors = ConstraintConfig(heat=c.heat, wave=c.wave, signature_weight=c.signature_weight)  # one cached value
     with ExitStack() as stack:
         for name, function in variant.patches.items():
             stack.enter_context(patch.object(module, name, function))
         for run in all_runs:
-            given = constraints(run.pair, variant.config)
+            given = constraints(run.pair, descriptors)
             found: PointMap = find(run.pair, variant.config, constraints=given)[1]  # type: ignore[operator]
             judged = compare_with_truth(found, run.truth)
             rows.append((100.0 * judged.mean, 100.0 * judged.flipped_area))

@@ -33,7 +33,7 @@ from benchmarks.public.sets import SETS
 from benchmarks.skeleton import Sizes, Turns, shares, skinned
 from benchmarks.truth import true_map
 from cagemap.files.meshes.obj import read_obj
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.subdivision import level_triangles, refine

@@ -35,7 +35,7 @@ def basis(level: int, count: int, exact: bool) -> Figures:
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     from cagemap.files.meshes.formats import read_mesh
-    from cagemap.numerics.sparse import factor
+    from cagemap.numerics.sparse_algebra import factor
     from cagemap.numerics.threads import one_blas_thread
     from cagemap.operators import build_operators
     from cagemap.spectral import BasisConfig, band_pairs, hierarchical_basis

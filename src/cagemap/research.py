@@ -171,7 +171,7 @@ def functional_map(
     constraints : Constraints
         From `gather_constraints`, or others.
     config : ConstraintConfig
-        Its weights.
+        ``laplacian``, ``operators`` and ``decay`` are read.
     levels : (int, int), optional
         Last levels; default: the finest. ParameterError for others than the pair has.
     """

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 
 from cagemap.errors import MissingLibraryError
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.numerics import sparse as numerics_sparse
+from cagemap.numerics import sparse_algebra
 from cagemap.pictures.render import Model
 from cagemap.pipeline import MatchResult, choose_level, match, prepare_surfaces
 from cagemap.subdivision import level_triangles
@@ -43,7 +43,7 @@ def images(result: MatchResult) -> np.ndarray:
 @pytest.mark.slow
 def test_a_whole_match_without_rslab_is_the_same(monkeypatch: pytest.MonkeyPatch, quick_fit: None) -> None:
     with_rslab = matched()
-    monkeypatch.setattr(numerics_sparse, "rslab", None)
+    monkeypatch.setattr(sparse_algebra, "rslab", None)
     without = matched()
     assert without.target.basis.schedule == with_rslab.target.basis.schedule
     np.testing.assert_allclose(

@@ -27,7 +27,7 @@ from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 from cagemap.operators import build_operators
 from cagemap.pipeline import MatchConfig, prepare_pair, prepare_surface
 from cagemap.spectral.zoomout import landmark_coordinates

@@ -14,7 +14,7 @@ from cagemap.deform.problem import level_graph
 from cagemap.maps.landmarks import suspects
 from cagemap.maps.landmarks.suspects import (
     Distances,
-    Points,
+    OrientedPoints,
     System,
     agreement_around,
     best_exchanges,
@@ -110,7 +110,7 @@ def test_orientation_is_that_of_all_triples() -> None:
     np.testing.assert_allclose(found, around.sum() / np.abs(around).sum(), rtol=1e-10)
 
 
-def placed(positions: np.ndarray, normals: np.ndarray, noise: float, rng: np.random.Generator) -> Points:
+def placed(positions: np.ndarray, normals: np.ndarray, noise: float, rng: np.random.Generator) -> OrientedPoints:
     """Landmarks as somebody puts them: a little off."""
     moved = positions + noise * rng.standard_normal(positions.shape)
     turned = normals + 5 * noise * rng.standard_normal(normals.shape)

@@ -10,8 +10,8 @@ from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
 from cagemap.errors import ParameterError, SolverError
-from cagemap.numerics import sparse as numerics_sparse
-from cagemap.numerics.sparse import _multiply_rows, multiply
+from cagemap.numerics import sparse_algebra
+from cagemap.numerics.sparse_algebra import _multiply_rows, multiply
 from cagemap.operators import build_operators
 from cagemap.spectral import band_pairs, eigenpairs, exact_basis
 from cagemap.spectral.eigenpairs import SOLVER
@@ -121,7 +121,7 @@ def test_without_rslab(creature, reference, monkeypatch, caplog, inertia):
     """SuperLU serves too, with inertia read off its diagonal, or without any."""
 
     def without(matrix, *, like=None, dtype=np.float64):
-        factors = numerics_sparse._factor_superlu(matrix, dtype)
+        factors = sparse_algebra._factor_superlu(matrix, dtype)
         return factors if inertia else replace(factors, negative_eigenvalues=None)
 
     monkeypatch.setattr(eigenpairs, "factor", without)

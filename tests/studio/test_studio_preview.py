@@ -88,7 +88,7 @@ def test_a_match_from_the_start_is_one_also_after_an_edit_and_a_turn(slow_previe
 def test_until_a_first_map_is_compiled_titles_say_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("cagemap.studio.preview.Worker", Idle)
     kernel = types.SimpleNamespace(stats=types.SimpleNamespace(cache_path=str(tmp_path)))  # of NUMBA_CACHE_DIR
-    monkeypatch.setattr("cagemap.numerics.sparse._multiply_rows", kernel)
+    monkeypatch.setattr("cagemap.numerics.sparse_algebra._multiply_rows", kernel)
     titles: list[str] = []
 
     def on_job(job: RunningJob | None) -> None:

@@ -25,7 +25,7 @@ from cagemap.deform.config import DataConfig, ElasticConfig
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, places_of
-from cagemap.numerics.sparse import Factorization
+from cagemap.numerics.sparse_algebra import Factorization
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.polylines import Polyline, normal_projections

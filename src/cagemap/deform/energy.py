@@ -20,7 +20,7 @@ from cagemap.deform.config import GraphConfig, Stage
 from cagemap.deform.graph import ElasticGraph
 from cagemap.errors import SolverError
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, nearest_rotations
-from cagemap.numerics.sparse import Factorization, factor
+from cagemap.numerics.sparse_algebra import Factorization, factor
 from cagemap.numerics.threads import ThreadPool, kept
 from cagemap.surface.triangles import normalize_rows
 

@@ -29,7 +29,7 @@ from cagemap.numerics.arrays import (
     places_of,
     read_only,
 )
-from cagemap.numerics.sparse import Factorization, factor
+from cagemap.numerics.sparse_algebra import Factorization, factor
 from cagemap.numerics.threads import kept
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.surface.triangle_surface import TriangleSurface

@@ -18,7 +18,7 @@ from cagemap.maps.pair import PointPairs, near_vertices, point_pairs
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.sparse import Factorization
+from cagemap.numerics.sparse_algebra import Factorization
 from cagemap.numerics.threads import ThreadPool, in_threads, kept
 from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline

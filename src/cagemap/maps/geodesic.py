@@ -16,7 +16,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, array_of, real_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.zoomout import evenly_spaced_vertices
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface

@@ -33,7 +33,7 @@ SPACING = 4.0 * np.pi
 
 @dataclass(frozen=True, repr=False)
 class ConstraintConfig(Config):
-    """Descriptors, and weights of eq. 13 for descriptors of unit norm, alike on all levels; found by measurement."""
+    """Numbers of descriptors, and weights of eq. 13 for descriptors of unit norm; alike on all levels."""
 
     heat: int = 10  #: number of heat kernel filters, for landmarks and signatures
     wave: int = 20  #: number of wave kernel filters, for landmarks and signatures
@@ -132,7 +132,8 @@ def gather_constraints(pair: Pair, config: ConstraintConfig = ConstraintConfig()
     """Descriptors F~ and operators O~ of both surfaces on their whole bases.
 
     Filters are chosen and columns scaled once, for all levels: descriptors F~^l of a coarser level are the leading
-    rows, and weights of operators have the same meaning on all levels (eqs. 13-16).
+    rows, and weights of operators have the same meaning on all levels (eqs. 13-16). Of the config ``heat``, ``wave``
+    and ``signature_weight`` are read.
     """
     filters = choose_filters(pair.target.basis.eigenvalues, pair.source.basis.eigenvalues, config.heat, config.wave)
     curves = [curve.target for curve in pair.landmarks.curves], [curve.source for curve in pair.landmarks.curves]

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, joined_runs
-from cagemap.numerics.sparse import multiply
+from cagemap.numerics.sparse_algebra import multiply
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import Embedding

@@ -13,7 +13,7 @@ from scipy import linalg, sparse
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, finite_numbers, read_only, whole_numbers
 from cagemap.numerics.kinds import Config, kinds_checked
-from cagemap.numerics.sparse import multiply
+from cagemap.numerics.sparse_algebra import multiply
 from cagemap.numerics.threads import ROW_BLOCK, row_slices
 from cagemap.operators import Operators, lumped_areas
 from cagemap.operators.laplacian import named_laplacian

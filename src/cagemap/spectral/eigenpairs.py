@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from scipy import linalg, sparse
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.kinds import Config
-from cagemap.numerics.sparse import Factorization, Precision, factor, multiply
+from cagemap.numerics.sparse_algebra import Factorization, Precision, factor, multiply
 from cagemap.numerics.threads import ROW_BLOCK, in_threads, row_slices
 from cagemap.operators import Operators
 
@@ -45,11 +45,15 @@ class SolverConfig(Config):
 SOLVER = SolverConfig()
 
 
-class EigenPairs(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class EigenPairs:
     """Consecutive eigenpairs of one level, W X = M X Lambda; both arrays are read-only."""
 
     values: FloatArray  #: (m,) ascending. Unit 1 / length^2 (unit area: none).
     vectors: NDArray[Any]  #: (n, m) M-orthonormal; in single precision if computed to a low accuracy
+
+    def __repr__(self) -> str:
+        return f"EigenPairs({len(self.values)} of {len(self.vectors)})"
 
 
 def band_pairs(

@@ -13,7 +13,7 @@ from cagemap.mesh.faces import cage_triangles, faces_of_one_size
 from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.structure_checks import require_structure
 from cagemap.numerics.arrays import FloatArray, members_of, offsets_of, read_only
-from cagemap.numerics.sparse import factor, multiply
+from cagemap.numerics.sparse_algebra import factor, multiply
 from cagemap.numerics.threads import in_threads, one_blas_thread, row_slices
 from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.spectral.eigenpairs import (

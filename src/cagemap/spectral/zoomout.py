@@ -20,7 +20,7 @@ from scipy import linalg, sparse
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 from cagemap.numerics.threads import in_threads, row_slices
 from cagemap.operators import lumped_areas
 

@@ -26,9 +26,9 @@ def opposite_side(side: Side) -> Side:
 
 @dataclass(frozen=True)
 class Place:
-    """A point of a model's control mesh and its position on the smooth surface."""
+    """A point of a model's control mesh and its position on the refined surface."""
 
-    position: tuple[float, float, float]  # of the smooth surface, in the units of the model's file
+    position: tuple[float, float, float]  # of the refined surface, in the units of the model's file
     corners: tuple[int, int, int]  # control vertices of the triangle that holds the point
     weights: tuple[float, float, float]  # barycentric coordinates, with sum 1
 

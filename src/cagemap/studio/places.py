@@ -1,4 +1,4 @@
-"""Places on a model: points of the control mesh and of the smooth surface."""
+"""Places on a model: points of the control mesh and of the refined surface."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cagemap.numerics.sparse import is_compiled
+from cagemap.numerics.sparse_algebra import is_compiled
 from cagemap.studio.landmarks import LandmarkList, Side
 from cagemap.studio.preview_tasks import FindMap, OpenModels, PairFiles, ShowBaked, ShowImage, ShowPosed, Task
 from cagemap.studio.skins import PreviewMap

@@ -1,4 +1,4 @@
-"""A model in the view: its smooth surface, and points under the mouse."""
+"""A model in the view: its refined surface, and points under the mouse."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cagemap.subdivision import Refinement, level_triangles, triangles
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas, triangle_frames, vertex_normals
 
-SLACK = 1e-9  # of barycentric coordinates: without it a ray through a vertex may miss all of its triangles
+SLACK = 1e-9  # relative rounding: without it a ray through a vertex may miss all of its triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Shape:
 
     @kept
     def cage(self) -> TriangleSurface:
-        """Control mesh with its vertices on the smooth surface, in the units of `surface`."""
+        """Control mesh with its vertices on the refined surface, in the units of `surface`."""
         return TriangleSurface(
             self.surface.positions[: self.control.n_vertices], cage_triangles(self.control)[0], self.surface.scale
         )
@@ -165,8 +165,8 @@ def line_hits(
 ) -> tuple[IndexArray, FloatArray, FloatArray]:
     """Intersections of a line with triangles (Moeller and Trumbore 1997, vectorised).
 
-    Returns triangles (h,), barycentric coordinates (h, 3), and signed distances (h,) from the start in lengths of
-    ``line``.
+    Returns triangles (h,), barycentric coordinates (h, 3) of at least -`SLACK`, and signed distances (h,) from the
+    start in lengths of ``line``.
     """
     candidates = _triangles_near_line(positions, triangles, start, line)
     a, b, c = (positions[triangles[candidates, k]] for k in range(3))

@@ -50,9 +50,9 @@ def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tu
     cut = layout_topology(control, numbers.astype(np.int64), len(unique))
     layout = MeshState(cut, np.zeros(len(unique), dtype=bool))
     if not _is_linear(scheme):
-        sharp = _with_sharpness(layout, state)
-        fixed, follows = _fixed_values(sharp, state.topology, owners, scheme.uv_interpolation)
-        fixed = cut.boundary & (fixed | (sharp.vertices >= INFINITE_SHARPNESS))
+        sharp_layout = _with_sharpness(layout, state)
+        fixed, follows = _fixed_values(sharp_layout, state.topology, owners, scheme.uv_interpolation)
+        fixed = cut.boundary & (fixed | (sharp_layout.vertices >= INFINITE_SHARPNESS))
         layout = MeshState(cut, fixed, follows=follows)
     return layout, control.uvs[values]
 
@@ -101,9 +101,9 @@ def _with_sharpness(layout: MeshState, state: MeshState) -> MeshState:
     vertices = np.where(state.corner, INFINITE_SHARPNESS, 0.0)
     after = vertices
     if state.is_sharp:
-        of_mesh, same = topology.edges[forward], topology.forward[forward]
+        of_mesh, is_forward = topology.edges[forward], topology.forward[forward]
         edges, halves = state.edges[of_mesh], state.halves[of_mesh]
-        halves = np.where(same[:, None], halves, halves[:, ::-1])
+        halves = np.where(is_forward[:, None], halves, halves[:, ::-1])
         vertices, after = state.vertices, state.after
     edges[outer], halves[outer] = INFINITE_SHARPNESS, INFINITE_SHARPNESS
     vertices = np.where(layout.corner, INFINITE_SHARPNESS, vertices[owners])

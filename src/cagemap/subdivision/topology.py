@@ -23,7 +23,7 @@ from cagemap.mesh.topology import BoolArray, IntArray, Topology, mesh_topology
 from cagemap.numerics.arrays import Array, FloatArray, IndexArray, pair_keys
 
 SMOOTH, CREASE, CORNER = 0, 2, 3  # vertex rules; smooth includes darts, where a single crease ends
-_none = partial(np.zeros, 0)  # sharpness of a smooth mesh
+_no_sharpness = partial(np.zeros, 0)  # sharpness of a smooth mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +32,10 @@ class MeshState:
 
     topology: Topology
     corner: BoolArray  # (n,) fixed boundary vertices
-    edges: FloatArray = field(default_factory=_none)  # (e,) sharpness, 0 where smooth, infinite on the boundary
-    halves: FloatArray = field(default_factory=_none)  # (e, 2) of what edges become in a step, at their start and end
-    vertices: FloatArray = field(default_factory=_none)  # (n,)
-    after: FloatArray = field(default_factory=_none)  # (n,) of vertices after a step
+    edges: FloatArray = field(default_factory=_no_sharpness)  # (e,) sharpness, 0 where smooth, infinite on the boundary
+    halves: FloatArray = field(default_factory=_no_sharpness)  # (e, 2) of both child edges, start first
+    vertices: FloatArray = field(default_factory=_no_sharpness)  # (n,)
+    after: FloatArray = field(default_factory=_no_sharpness)  # (n,) of vertices after a step
     follows: IndexArray | None = None  # (n,) of UVs: i has the edge sharpness around vertex follows[i]; None: its own
 
     @property

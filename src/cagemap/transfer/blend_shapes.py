@@ -26,7 +26,7 @@ from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import flipped_triangles, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 from cagemap.subdivision import Refinement, level_triangles
 from cagemap.surface.triangle_surface import SurfacePoints
 from cagemap.surface.triangles import (

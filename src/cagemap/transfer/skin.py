@@ -13,7 +13,7 @@ from cagemap.deform.graph import ElasticGraph
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, nearest_rotations
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 
 # Sums of weights within this distance of 1 are rounding: their rows do not change.
 _SUM_ROUNDING = 1e-5

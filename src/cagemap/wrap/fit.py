@@ -22,7 +22,7 @@ from cagemap.deform.energy import Admissible, Differentials, ElasticEnergy, boun
 from cagemap.deform.graph import ElasticGraph
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray, label_components, mask_of, members_of, nearest_rotations
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 from cagemap.surface.alignment import fit_similarity
 from cagemap.wrap.net import ControlNet, MendConfig, NetTerms, Samples, WrapConfig, face_aspects, folded_faces
 

@@ -31,7 +31,7 @@ from cagemap.maps.projection.relax import label_patches
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import Config
-from cagemap.numerics.sparse import Factorization, factor
+from cagemap.numerics.sparse_algebra import Factorization, factor
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.subdivision import Refinement, finest_mesh, level_triangles
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
@@ -202,7 +202,7 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class NetTerms:
-    """Terms of a net, or of a part of it, with moving points (m,): first of the images alone, see `at`."""
+    """Terms of a net, or of a part of it, with moving points (m,): distances to images; `at` adds tangent planes."""
 
     samples: Samples
     config: WrapConfig
@@ -229,8 +229,18 @@ class NetTerms:
         else:
             matrix = matrix[moving][:, moving]
         factors, right = factor(sparse.csc_array(matrix)), transposed @ (weights[:, None] * samples.images.positions)
-        planes = samples.images, np.zeros(len(weights)), weights
-        return cls(samples, config, moving, transposed, graph.laplacian, factors, *planes, right)
+        return cls(
+            samples,
+            config,
+            moving,
+            transposed,
+            graph.laplacian,
+            factors,
+            closest=samples.images,
+            plane_weights=np.zeros(len(weights)),
+            image_weights=weights,
+            right=right,
+        )
 
     def start(self, energy: ElasticEnergy) -> FloatArray:
         """(n, 3) net that minimises ``||S X - P||^2`` with a little energy; fixed points stay at rest."""

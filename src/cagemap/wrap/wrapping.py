@@ -44,7 +44,7 @@ class Wrapped:
     surface: FloatArray  #: (n_f, 3) finest vertices of the net's refined surface
     closest: PointMap  #: closest points of the source to these vertices
     distance: FloatArray  #: (n_f,) their distances, as parts of sqrt(source area)
-    source_distance: FloatArray  #: (n_2,) distances of the source's vertices to the wrapped surface, as such parts
+    source_distance: FloatArray  #: (n_2,) distances of the source's vertices to the wrapped surface, likewise
     follow: FloatArray  #: (n_f,) weight with which each vertex followed the source, from 0 to 1
     has_counterpart: NDArray[np.bool_]  #: (n_f,) whether a vertex has a counterpart on the source
     left_out: float  #: share of the target's area that has no counterpart
@@ -101,11 +101,11 @@ def wrap(
         positions = mend(net, samples, config, fit_net(net, samples, config, adjust), adjust)
         return positions, closest_points(source.tree, net.surface(positions), guess=point_map.triangle)
 
-    best = fitted(config)
-    if np.percentile(best[1][2][has_counterpart], 99) > config.max_distance and config.anchor > 0:
-        anchored = fitted(replace(config, anchor=config.stronger_anchor * config.anchor))
-        best = min(best, anchored, key=lambda fit: float(fit[1][2][has_counterpart].mean()))
-    positions, (triangle, barycentric, distance) = best
+    positions, (triangle, barycentric, distance) = fitted(config)
+    if np.percentile(distance[has_counterpart], 99) > config.max_distance and config.anchor > 0:
+        anchored, closest = fitted(replace(config, anchor=config.stronger_anchor * config.anchor))
+        if closest[2][has_counterpart].mean() < distance[has_counterpart].mean():
+            positions, (triangle, barycentric, distance) = anchored, closest
     surface = net.surface(positions)
     triangles = point_map.target.triangles
     _, _, source_distance = closest_points(TriangleSurface(surface, triangles).tree, source.positions)

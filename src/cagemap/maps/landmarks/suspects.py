@@ -27,7 +27,7 @@ from cagemap.deform.config import ElasticConfig, LandmarkConfig
 from cagemap.deform.energy import energy_matrix
 from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.sparse import factor
+from cagemap.numerics.sparse_algebra import factor
 from cagemap.numerics.threads import row_slices
 from cagemap.surface.triangles import normalize_rows
 

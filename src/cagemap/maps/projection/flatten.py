@@ -29,7 +29,7 @@ from cagemap.maps.projection.relax import (
 )
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, mask_of, places_of
-from cagemap.numerics.sparse import factor_general
+from cagemap.numerics.sparse_algebra import factor_general
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 from cagemap.surface.triangles import row_lengths
 

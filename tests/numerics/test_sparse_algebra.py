@@ -8,8 +8,8 @@ from examples import shapes
 from scipy import sparse
 
 from cagemap.errors import ParameterError, SolverError
-from cagemap.numerics import sparse as numerics_sparse
-from cagemap.numerics.sparse import factor, factor_general
+from cagemap.numerics import sparse_algebra
+from cagemap.numerics.sparse_algebra import factor, factor_general
 from cagemap.operators import build_operators
 from cagemap.subdivision import refine
 
@@ -22,14 +22,14 @@ SOLVED = 1e-9
 @pytest.fixture
 def superlu(monkeypatch):
     """As where rslab has no wheel."""
-    monkeypatch.setattr(numerics_sparse, "rslab", None)
+    monkeypatch.setattr(sparse_algebra, "rslab", None)
 
 
 @pytest.fixture(params=["rslab", "superlu"])
 def _either_library(request, monkeypatch):
     if request.param == "superlu":
-        monkeypatch.setattr(numerics_sparse, "rslab", None)
-    elif numerics_sparse.rslab is None:
+        monkeypatch.setattr(sparse_algebra, "rslab", None)
+    elif sparse_algebra.rslab is None:
         pytest.skip("no rslab wheel here")
 
 
@@ -55,13 +55,13 @@ def test_solve_and_inertia(matrices, shift):
     assert factors.negative_eigenvalues == negative
 
 
-@pytest.mark.skipif(numerics_sparse.rslab is None, reason="no rslab wheel here")
+@pytest.mark.skipif(sparse_algebra.rslab is None, reason="no rslab wheel here")
 def test_ordering_is_used_again(matrices, monkeypatch):
     stiffness, mass = matrices
     first = factor(sparse.csr_array(stiffness + mass))
     matrix = sparse.csr_array(stiffness - 50.0 * mass)
     anew = factor(matrix)
-    monkeypatch.setattr(numerics_sparse, "_analyzed", lambda *_: pytest.fail("ordered once more"))
+    monkeypatch.setattr(sparse_algebra, "_analyzed", lambda *_: pytest.fail("ordered once more"))
     again = factor(matrix, like=first)
     ones = np.ones(matrix.shape[0])
     np.testing.assert_array_equal(again.solve(ones), anew.solve(ones))
@@ -114,8 +114,8 @@ def test_superlu_tells_no_inertia_in_single_precision(matrices):
 
 
 def test_that_rslab_is_missing_is_said_once(matrices, monkeypatch, caplog):
-    monkeypatch.setattr(numerics_sparse, "rslab", None)
-    numerics_sparse._warn_without_rslab.cache_clear()
+    monkeypatch.setattr(sparse_algebra, "rslab", None)
+    sparse_algebra._warn_without_rslab.cache_clear()
 
     def work(_):
         assert factor(matrices[0] + matrices[1])._symbolic is None
