@@ -15,7 +15,7 @@ from cagemap.maps.landmarks import suspects
 from cagemap.maps.landmarks.suspects import (
     Distances,
     OrientedPoints,
-    System,
+    StrainSystem,
     agreement_around,
     best_exchanges,
     exchanged_sides,
@@ -258,7 +258,7 @@ def graph() -> ElasticGraph:
     return level_graph(Surface(refine(example_pair(64).target, 1)), 1)
 
 
-def strained(system: System, places: np.ndarray) -> int | None:
+def strained(system: StrainSystem, places: np.ndarray) -> int | None:
     shifts = released_shifts(system, places, position_rows(len(places)))
     return strained_pair(system, places, np.linalg.norm(shifts, axis=1))
 
