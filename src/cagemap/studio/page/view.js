@@ -5,6 +5,8 @@ const SIDES = ['target', 'source'];
 const LOOKS = {texture: 0, colours: 1, checker: 2, plain: 3, baked: 4};
 const FIELD_OF_VIEW = 0.6;  // radians, vertically: little perspective, as modellers like it
 const FIRST = [1.85, 0.69, 2.64], AXES = {1: [0, 0, 1], 3: [1, 0, 0], 7: [0, 1, 0.001]};
+// Added to a unit normal, one after the other, until its place is seen.
+const TILTS = [[0, 0, 0], [0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]];
 const NO_BLENDING = 0, ALWAYS = 1;  // of three.js
 // Pixels: square of a mark, from it to its number (an eye stays visible), how close grips it, what is no drag.
 const MARK = 72, LEADER = 12, GRIP = 9, STILL = 4;
@@ -227,13 +229,18 @@ export class Views {
     this.changed();
   }
 
-  // Turn each model, or both as the target, until its place is seen; from a little aside, as no camera looks straight down.
+  // Turn each model, or both as the target, until its place is seen: along its normal, or, where another part hides it, tilted;
+  // from a little aside, as no camera looks straight down.
   reveal(places) {
     for (const side of this.shown.linked ? [this.sides.target] : Object.values(this.sides)) {
       if (!places[side.name] || this.shown.pose || this.wrapAmount(side)) continue;  // drawn elsewhere
       const at = new THREE.Vector3(...places[side.name].slice(0, 3)), seen = at.clone().project(side.camera);
-      if (Math.max(...seen.toArray().map(Math.abs)) > 1 || this.hides(side, at))
-        this.frame(places[side.name].slice(3).map((value, i) => value + 0.1 * FIRST[i]), [side]);
+      if (Math.max(...seen.toArray().map(Math.abs)) <= 1 && !this.hides(side, at)) continue;
+      const look = tilt => {
+        this.frame(places[side.name].slice(3).map((value, i) => value + tilt[i] + 0.1 * FIRST[i]), [side]);
+        return !this.hides(side, at);
+      };
+      if (!TILTS.some(look)) look(TILTS[0]);
     }
   }
 
