@@ -26,7 +26,7 @@ from cagemap.mesh.repairs import RepairedMesh
 from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import FloatArray, IndexArray, box_diagonal
 from cagemap.numerics.threads import kept
-from cagemap.pipeline import choose_level, match, prepare_surfaces
+from cagemap.pipeline import MatchConfig, choose_level, match, other_answer, prepare_surfaces
 from cagemap.spectral import Surface
 from cagemap.subdivision.face_varying import interpolate_linearly
 from cagemap.surface.triangle_surface import TriangleSurface
@@ -100,17 +100,19 @@ class Bodies:
         return np.asarray(values[rows])
 
 
-def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stages, rig: Rig | None = None) -> Bodies:
+def match_bodies(
+    target: Part, source: Part, landmarks: Landmarks, stages: Stages, rig: Rig | None = None, answer: int = 0
+) -> Bodies:
     """Match the meshes of two parts, after repairs if they need any.
 
     Without landmarks, two meshes with the same faces, such as two shapes of one base mesh, are paired vertex by vertex.
-    ``rig``: of the source.
+    ``rig``: of the source. ``answer``: of several that the match finds, 0 for the best.
 
     Raises
     ------
     ParameterError
         If the piece of a part that is matched is only a fragment of it, or has fewer than four faces; without
-        landmarks, if other pieces are the arms or legs of the source.
+        landmarks, if other pieces are the arms or legs of the source; if there is no such answer.
     """
     ready = _ready_body(target), _ready_body(source)
     on_ready = landmarks.renumbered(*(mesh.vertex_of.__getitem__ for mesh in ready))
@@ -123,7 +125,9 @@ def match_bodies(target: Part, source: Part, landmarks: Landmarks, stages: Stage
     if result is None:
         if rig is not None and not has_landmarks:
             _require_limbs(source, ready[1], rig)
-        result = match(*surfaces, on_ready, progress=stages)
+        result = match(*surfaces, on_ready, MatchConfig(answer=answer), progress=stages)
+    elif answer:
+        result = other_answer(result, answer)
     else:
         pair = f"{target.mesh.name} has the same faces as {source.mesh.name}"
         notes = [f"{pair}: their vertices are paired by number; with --landmarks they are matched"]

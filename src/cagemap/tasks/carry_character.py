@@ -56,6 +56,7 @@ def carry_character(
     influences: int | None = 4,
     taken: Collection[str] = (),
     subdivided: bool = False,
+    answer: int = 0,
     stages: Stages | None = None,
 ) -> CarriedCharacter:
     """Rig and dress a body like a character.
@@ -70,6 +71,7 @@ def carry_character(
     ``influences``: most joints per vertex of the body; None for all.
     ``taken``: names already in use, such as those of joints: another part of the target with one gets '(own)'.
     ``subdivided``: whether programs show the body with the subdivision scheme that its mesh states, as from USD.
+    ``answer``: see `match_bodies`.
     """
     stages, kinds = Stages() if stages is None else stages, kinds or {}
     target_body, source_body = find_body(target.parts, bodies[0]), find_body(source.parts, bodies[1])
@@ -77,7 +79,7 @@ def carry_character(
     declined = [part for part in source.parts if part not in (*chosen, source_body)]
     names = [part.name for part in chosen]
     _require_passengers(kinds, [*names, _name_of_pieces(source_body)], [part.name for part in declined])
-    matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages, source.rig)
+    matched = match_bodies(target_body, source_body, landmarks or Landmarks.none(), stages, source.rig, answer)
     result = matched.result
     notes += matched.notes
     notes += [f"{one.mesh.name}: {sentence}" for one in matched.ready for sentence in one.repairs.sentences_of_body()]

@@ -89,6 +89,7 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
         influences=request.influences or None,
         taken=set(read_nodes(document).names) - {part.name for part in source.parts},
         subdivided=is_usd(request.output),
+        answer=request.answer,
         stages=stages,
     )
     notes += landmark_notes

@@ -33,13 +33,13 @@ def matched_once(kept: dict[object, Bodies], monkeypatch: pytest.MonkeyPatch) ->
     """Two bodies that an earlier test has matched are not matched again."""
 
     def match_or_take(
-        target: Part, source: Part, landmarks: Landmarks, stages: Stages, rig: Rig | None = None
+        target: Part, source: Part, landmarks: Landmarks, stages: Stages, rig: Rig | None = None, answer: int = 0
     ) -> Bodies:
         meshes = (target.mesh, source.mesh)
         arrays = ((mesh.positions.tobytes(), mesh.face_indices.tobytes(), mesh.material_names) for mesh in meshes)
-        key = (landmarks.names, *landmarks.places, *arrays)
+        key = (answer, landmarks.names, *landmarks.places, *arrays)
         if key not in kept:
-            kept[key] = match_bodies(target, source, landmarks, stages, rig)
+            kept[key] = match_bodies(target, source, landmarks, stages, rig, answer)
         return replace(kept[key], given=(target, source))
 
     monkeypatch.setattr("cagemap.tasks.carry_character.match_bodies", match_or_take)

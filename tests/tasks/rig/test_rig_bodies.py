@@ -179,6 +179,7 @@ def test_bodies_with_the_same_faces_are_paired_by_number_unless_landmarks_are_gi
     np.testing.assert_array_equal(bodies.result.point_map.images.positions, bodies.result.point_map.source.positions)
     pair = f"bent has the same faces as {body.name}"
     assert bodies.notes == (f"{pair}: their vertices are paired by number; with --landmarks they are matched",)
+    refuses(ParameterError, "answer 1: expected 0", match_bodies, *parts, Landmarks.none(), Stages(), answer=1)
     matched = match_bodies(*parts, marks_at(far_apart(body.positions, 5)), Stages())
     assert matched.notes == ()
     assert np.abs(matched.result.point_map.images.positions - matched.result.point_map.source.positions).max() > 1e-6
@@ -235,9 +236,11 @@ def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(body, monk
     manifest = {"landmark_check": check, "quality": {"warnings": ["5 % is folded"]}}
     result = SimpleNamespace(manifest=manifest)
     monkeypatch.setattr("cagemap.tasks.bodies.prepare_surfaces", lambda *given: (None, None))
-    monkeypatch.setattr("cagemap.tasks.bodies.match", lambda *given, progress: result)
+    configs = []
+    monkeypatch.setattr("cagemap.tasks.bodies.match", lambda *given, progress: configs.append(given[3]) or result)
     spots = np.array([3, whole.n_vertices - 1])
-    bodies = match_bodies(part, part, Landmarks(("nose", "button"), spots, spots, "a", "b"), Stages())
+    bodies = match_bodies(part, part, Landmarks(("nose", "button"), spots, spots, "a", "b"), Stages(), answer=2)
+    assert [config.answer for config in configs] == [2]
     lost = "1 of 2 landmarks lie on pieces that are set aside and are left out"
     assert bodies.notes == (lost,)
     assert body_warnings(bodies.result) == ["nose: left out", "5 % is folded"]

@@ -11,6 +11,7 @@ from cagemap.tasks.requests.options import (
     LANDMARKS,
     OUTPUT,
     RESEARCH,
+    Answer,
     BoundaryOption,
     CreasingOption,
     Force,
@@ -99,7 +100,7 @@ class MatchRequest:
     trust_landmarks: Annotated[bool, Option("Keep every landmark; by default, outliers are left out.", LANDMARKS)] = (
         False
     )
-    answer: Annotated[int, Option("Which reported alignment to use: 0 the best, 1 the second.", OUTPUT, min=0)] = 0
+    answer: Answer = 0
     target_points: Annotated[
         Path | None, Option("Named points of the target; equal names on both are landmarks.", LANDMARKS)
     ] = None

@@ -166,6 +166,7 @@ Space = Annotated[
 ]
 Green = Annotated[Literal["up", "down"], Option("Normal map: green up (OpenGL) or down (DirectX).", IMAGES)]
 MeshFile = Annotated[Path, Argument("Control mesh, .obj, .ply, .off, .stl, glTF, VRM, FBX or USD.", metavar="MESH")]
+Answer = Annotated[int, Option("Which reported alignment to use: 0 the best, 1 the second.", OUTPUT, min=0)]
 Force = Annotated[bool, Option("Also overwrite files that cagemap did not write, or that were edited.", OUTPUT)]
 ResultFolder = Annotated[Path, Argument("Folder that `cagemap match` wrote.", metavar="RESULT")]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Argument, Force, Option
+from cagemap.tasks.requests.options import INPUT, LANDMARKS, OUTPUT, Answer, Argument, Force, Option
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class RigRequest:
     like: Annotated[Path, Option("Character to transfer from: .glb, .gltf, .vrm, .fbx or USD.", INPUT)]
     output: Annotated[Path, Option("File to write: .glb, .gltf, .vrm or USD.", OUTPUT, ("-o",))]
     landmarks: Annotated[Path | None, Option("JSON file of corresponding points of the two bodies.", LANDMARKS)] = None
+    answer: Answer = 0
     body_part: Annotated[str | None, Option("Part of BODY that is the body.  [default: the largest]", INPUT)] = None
     like_part: Annotated[
         str | None, Option("Part of the character that is its body.  [default: the largest]", INPUT)
