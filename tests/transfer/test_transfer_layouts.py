@@ -22,7 +22,7 @@ from cagemap.mesh.control_mesh import MIN_UV_AREA, ControlMesh
 from cagemap.subdivision import Level, refine
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import triangle_areas, triangle_neighbors
-from cagemap.tasks.bake_tiles import layout_tiles, unwrapped_name
+from cagemap.tasks.bake_tiles import layout_tiles, map_path, unwrapped_name
 from cagemap.transfer import (
     BakeOptions,
     bake_detail_texture,
@@ -400,3 +400,17 @@ def test_all_spellings_of_a_set(tmp_path: Path) -> None:
         assert read_image_form(tmp_path / name) == (np.dtype(np.uint8), 3, (8, 8))
         assert tile_pattern(tmp_path / name).name == "skin.<UDIM>.png"
     assert tile_pattern("skin.png").name == "skin.<UDIM>.png"
+
+
+def test_a_set_named_by_its_first_tile_has_the_number_once() -> None:
+    first = Path("skin.1001.png")
+    assert [udim_path(first, tile).name for tile in (0, 1001, 1012)] == [
+        "skin.1001.png",
+        "skin.1001.png",
+        "skin.1012.png",
+    ]
+    assert tile_pattern(first).name == "skin.<UDIM>.png"
+    assert map_path(first, "color").name == "skin_color.<UDIM>.png"
+    assert map_path(first, "") == first
+    assert unwrapped_name(first).name == "skin_unwrapped.obj"
+    assert udim_path("skin_1024.png", 1002).name == "skin_1024.1002.png"  # a size

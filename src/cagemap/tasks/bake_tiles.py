@@ -20,6 +20,7 @@ from cagemap.files.gltf.textures import MaterialImage
 from cagemap.files.images.image import (
     UDIM_MARK,
     Image,
+    as_tile_set,
     check_writable,
     first_image,
     pixel_type,
@@ -332,7 +333,7 @@ def record_bake(
 
 def unwrapped_name(image: Path) -> Path:
     """Name of an image's unwrapped mesh, which differs from the user's mesh."""
-    stem = with_udim_mark(image).stem.replace(UDIM_MARK, "").rstrip("._")
+    stem = as_tile_set(image).stem.replace(UDIM_MARK, "").rstrip("._")
     return image.with_name(f"{stem}_unwrapped.obj")
 
 
@@ -379,9 +380,9 @@ def _unwrapped_writer(
 
 def map_path(output: Path, name: str) -> Path:
     """Image of one of several maps, with the map's name before the tile number and the suffix."""
-    output = with_udim_mark(output)
     if not name:
-        return output
+        return with_udim_mark(output)
+    output = as_tile_set(output)
     stem, dot, rest = output.name.partition(UDIM_MARK) if UDIM_MARK in output.name else (output.stem, "", output.suffix)
     if dot:
         return output.with_name(f"{stem.rstrip('._')}_{name}.{UDIM_MARK}{rest}")

@@ -33,6 +33,7 @@ Pixels = NDArray[Any]
 UDIM_MARK = "<UDIM>"
 # Other spellings: Arnold's and Houdini's.
 _UDIM_MARKS = re.compile(r"<udim>|%\(udim\)d", re.IGNORECASE)
+_FIRST_NUMBER = re.compile(rf"(?<!\d){FIRST_TILE}(?=\.\w+\Z)")
 # Pixel types that each format stores exactly.
 _FORMATS: dict[str, tuple[str, ...]] = {
     ".png": ("uint8", "uint16"),
@@ -335,14 +336,16 @@ def _tiles(path: str | Path) -> dict[int, Path]:
 
 
 def udim_path(path: str | Path, tile: int) -> Path:
-    """File of a tile: its number in place of ``<UDIM>`` or before the suffix; no change for tile 0.
+    """File of a tile: its number in place of ``<UDIM>`` or 1001, or before the suffix; no change for tile 0.
 
     Examples
     --------
-    >>> udim_path("skin.<UDIM>.png", 1002).name, udim_path("skin.png", 1002).name, udim_path("skin.png", 0).name
-    ('skin.1002.png', 'skin.1002.png', 'skin.png')
+    >>> [udim_path(name, 1002).name for name in ("skin.<UDIM>.png", "skin.1001.png", "skin.png")]
+    ['skin.1002.png', 'skin.1002.png', 'skin.1002.png']
+    >>> udim_path("skin.png", 0).name
+    'skin.png'
     """
-    file = with_udim_mark(Path(path))
+    file = as_tile_set(path)
     if UDIM_MARK in file.name:
         return file.with_name(file.name.replace(UDIM_MARK, str(tile or FIRST_TILE)))
     return file if tile == 0 else file.with_name(f"{file.stem}.{tile}{file.suffix}")
@@ -350,8 +353,14 @@ def udim_path(path: str | Path, tile: int) -> Path:
 
 def tile_pattern(path: str | Path) -> Path:
     """The pattern of all files of `udim_path`, with ``<UDIM>`` in place of the tile's number."""
-    file = with_udim_mark(Path(path))
+    file = as_tile_set(path)
     return file if UDIM_MARK in file.name else file.with_name(f"{file.stem}.{UDIM_MARK}{file.suffix}")
+
+
+def as_tile_set(path: str | Path) -> Path:
+    """A path with ``<UDIM>`` in place of the first tile's number, 1001, or of other programs' marks."""
+    file = with_udim_mark(Path(path))
+    return file.with_name(_FIRST_NUMBER.sub(UDIM_MARK, file.name)) if file.name else file
 
 
 def set_of_tile(path: Path) -> Path:
