@@ -216,6 +216,10 @@ def test_each_task_by_its_number_is_done_once_and_has_an_exit_code(folder: Path,
     code, output = numbered(folder, "8")
     assert code == 1
     assert "match broken -> deer: failed: not done" in output
+    assert " done, " not in output
+    (folder / "night" / "pony__deer" / "deer.png").unlink()
+    code, output = numbered(folder, f"{NUMBERED['transfer pony -> deer']}-8")
+    assert "1 done, " in output  # by this command, the others by earlier ones
     assert "deer.png" in (folder / "night" / "index.html").read_text()
     with pytest.raises(ParameterError, match="of tasks 1 to 8, got '9'"):
         CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--task", "9"], catch_exceptions=False)

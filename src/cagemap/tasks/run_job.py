@@ -89,19 +89,20 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
     """
     steps = farm_steps(plan)
     numbers = parse_task_range(words, steps[-1].last)
-    lines, whole = [], True
+    lines, whole, started = [], True, time.perf_counter()
+    ended: dict[str, TaskOutcome] = {}
     for step, number in ((step, number) for step in steps for number in numbers if step.first <= number <= step.last):
         verdict = Consistency()
         current = plan
         if step.name not in ("prepare", "match"):
             verdict, current = _verdict_and_plan(plan, version)
         if step.name == PAGE_STEP:
-            text, complete = _write_page(title, current, _kept_outcomes(current), verdict, time.perf_counter())
+            text, complete = _write_page(title, current, _kept_outcomes(current) | ended, verdict, started)
             lines.append(f"{number} page:\n{text}")
             whole &= complete
         for task in step.tasks[number - step.first]:
             stages(task.name)
-            outcome = _run_alone(task.name, current)
+            outcome = ended[task.name] = _run_alone(task.name, current)
             lines += [f"{number} {outcome}", *(f"  {text}" for text in remarks_of(outcome))]
             whole &= outcome.usable
     return use_option_names("\n".join(lines)), whole
