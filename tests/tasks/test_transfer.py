@@ -32,9 +32,11 @@ from cagemap.tasks import bake_tiles
 from cagemap.tasks.bodies import Bodies, match_bodies
 from cagemap.tasks.carry_arrays import carry_values
 from cagemap.tasks.match_summary import next_commands
+from cagemap.tasks.mesh_commands import run_refine
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.report import run_report
 from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.mesh_commands import RefineRequest
 from cagemap.tasks.requests.report import ReportRequest
 from cagemap.tasks.set_aside import lay_set_aside
 from cagemap.transfer.overlapping_uvs import overlapping_materials
@@ -83,6 +85,13 @@ def write_textured_ply(folder: Path) -> Path:
     file.write_bytes(header + b"comment TextureFile my skin.png\n" + end + body)
     write_skin(folder, name="my skin.png")
     return file
+
+
+def test_the_image_that_a_refined_ply_loses_is_said(tmp_path: Path) -> None:
+    file = write_textured_ply(tmp_path)
+    for name in ("out.ply", "out.glb"):
+        said = run_refine(RefineRequest(file, 1, tmp_path / name), Stages())[1]
+        assert said == [f"{name}: left out of box.ply: my skin.png"]
 
 
 @pytest.mark.parametrize("name", ["box.gltf", "box.ply", "box.usda", "box.usdz"])

@@ -11,6 +11,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.gltf.document import SCENE_SUFFIXES, read_document
 from cagemap.files.gltf.read import left_out_of_gltf
 from cagemap.files.images.image import with_udim_mark
+from cagemap.files.meshes.ply import ply_images
 from cagemap.files.result.manifest import input_file
 from cagemap.files.usd.read import left_out_of_usd, objects_of, read_usd_meshes
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd
@@ -35,7 +36,8 @@ def left_out_warnings(original: Path | None, name: str, output: Path) -> list[st
     """Warnings of what a written mesh lacks of its file, which holds more than cagemap keeps, or is gone."""
     if original is not None:
         # A .glb of a glTF or FBX file keeps all of it, or its writer warns.
-        lost = _contents_beside_mesh(original) if is_usd(original) or output.suffix.lower() != ".glb" else []
+        kept = output.suffix.lower() == ".glb" and original.suffix.lower() in SCENE_SUFFIXES
+        lost = [] if kept else _contents_beside_mesh(original)
         return [f"{output.name}: left out of {original.name}: {first_few(lost)}"] if lost else []
     suffix = output.suffix.lower()
     if {suffix, Path(name).suffix.lower()} <= set(USD_SUFFIXES):
@@ -44,9 +46,11 @@ def left_out_warnings(original: Path | None, name: str, output: Path) -> list[st
 
 
 def _contents_beside_mesh(file: Path) -> list[str]:
-    """What a USD, glTF or FBX file has beyond its mesh."""
+    """What a USD, glTF, FBX or PLY file has beyond its mesh."""
     if is_usd(file):
         return left_out_of_usd(file)
+    if file.suffix.lower() == ".ply":
+        return [image.name for image in ply_images(file)]
     return left_out_of_gltf(read_document(file)) if file.suffix.lower() in SCENE_SUFFIXES else []
 
 

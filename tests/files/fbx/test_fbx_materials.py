@@ -112,7 +112,7 @@ def test_a_texture_that_is_not_there_is_said(tmp_path: Path, caplog: pytest.LogC
     made.objects = [one for one in made.objects if one.name != "Video"]
     document = read_document(fbx_file(folder, made))
     assert "images" not in document.json
-    assert "skin.png' is not found and left out" in caplog.text
+    assert r"'..\skin.png' is not found and left out" in caplog.text
 
 
 def test_a_texture_that_cannot_be_read_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -106,9 +106,9 @@ class Materials:
             return self._textures.texture(image, (across, up), transform)
         stated = get(texture, "relative_filename") or get(texture, "filename") or get(texture, "name")
         if any(self._content(one) for one in _layers(texture)):
-            self._note(f"{where}: {stated!r} cannot be read as an image and is left out; save it as a PNG")
+            self._note(f"{where}: '{stated}' cannot be read as an image and is left out; save it as a PNG")
         else:
-            self._note(f"{where}: {stated!r} is not found and left out; put it beside the FBX file")
+            self._note(f"{where}: '{stated}' is not found and left out; put it beside the FBX file")
         return None
 
     def _with_image(self, texture: Any) -> Any:
