@@ -108,14 +108,12 @@ def _part_in_world(
 ) -> ReadPart | None:
     """A mesh node as a part in world space; None if it is scaled to nothing."""
     skin_number = document.entry("nodes", node).get("skin")
-    weights, joint_to_world, to_world = None, None, nodes.world[node]
+    weights, to_world = None, nodes.world[node]
     if skin_number is not None and joints is not None:
         skin, rig_joints = skins[skin_number], joints.of_skins[skin_number]
         if arrays.joints.shape[1]:  # a skinned node without joint attributes stays where it is
             weights = _weights(document, arrays, rig_joints, joints, node)
             to_world = skin.to_world
-            joint_to_world = np.tile(to_world, (len(joints.rig.names), 1, 1))
-            joint_to_world[rig_joints] = skin.inverse_bind @ joints.rig.bind[rig_joints]
     elif joints is not None and (above := nearest_joint(nodes, joints.joint_of, node)) >= 0:
         count = arrays.control.n_vertices
         weights = sparse.csr_array(
@@ -128,8 +126,7 @@ def _part_in_world(
     if abs(np.linalg.det(to_world[:3, :3])) < 1e-12 * max(np.abs(to_world[:3, :3]).max(), 1e-30) ** 3:
         _log.warning("%s: %s is scaled to nothing and left out", document.file, arrays.control.name)
         return None
-    arrays = _vertices_in_world(arrays, to_world, weights, joint_to_world)
-    return _weld_part(arrays, weights, node)
+    return _weld_part(_vertices_in_world(arrays, to_world), weights, node)
 
 
 def _weights(document: Document, arrays: VertexArrays, of: IndexArray, joints: Joints, node: int) -> sparse.csr_array:
@@ -160,37 +157,19 @@ def _homogeneous_rows(arrays: VertexArrays) -> FloatArray:
     return np.column_stack([arrays.control.positions, np.ones(arrays.control.n_vertices)])
 
 
-def _vertices_in_world(
-    arrays: VertexArrays,
-    to_world: FloatArray,
-    weights: sparse.csr_array | None,
-    joint_to_world: FloatArray | None,
-) -> VertexArrays:
-    """A mesh in world space; blended from the joints' transforms if its skin was bound in another pose."""
-    points = _homogeneous_rows(arrays)
-    # `snap_to_exact` returns ``to_world`` itself if both matrices give the same points up to rounding.
-    one_transform = joint_to_world is None or all(
-        snap_to_exact(transform, to_world, points) is to_world
-        for transform in (joint_to_world if weights is None else joint_to_world[np.unique(weights.indices)])
-    )
-    if one_transform and np.array_equal(to_world, np.eye(4)):
+def _vertices_in_world(arrays: VertexArrays, to_world: FloatArray) -> VertexArrays:
+    if np.array_equal(to_world, np.eye(4)):
         return arrays
-    if weights is None or joint_to_world is None or one_transform:
-        placed, blended = points @ to_world, to_world
-        shapes = {name: offsets @ to_world[:3, :3] for name, offsets in arrays.shapes.items()}
-    else:
-        blended = np.asarray(weights @ joint_to_world.reshape(len(joint_to_world), 16)).reshape(-1, 4, 4)
-        placed = np.einsum("na,nab->nb", points, blended)
-        shapes = {n: np.einsum("na,nab->nb", s, blended[:, :3, :3]) for n, s in arrays.shapes.items()}
+    placed, linear = _homogeneous_rows(arrays) @ to_world, to_world[:3, :3]
+    shapes = {name: offsets @ linear for name, offsets in arrays.shapes.items()}
     if not np.isfinite(placed).all() or np.abs(placed).max() > 1e100:
         raise FormatError(f"{arrays.control.name}: expected places of a moderate size, got others. Export it again.")
     normals, shape_normals = arrays.normals, arrays.shape_normals
     if normals is not None:
-        linear = blended[..., :3, :3]
         shape_normals = {name: transform_offsets(offsets, normals, linear) for name, offsets in shape_normals.items()}
         normals = transform_normals(normals, linear)
     control = arrays.control.with_positions(placed[:, :3])
-    if np.linalg.det(to_world[:3, :3]) < 0.0:
+    if np.linalg.det(linear) < 0.0:
         control = turn_faces(control, np.ones(control.n_faces, dtype=bool))
     return replace(arrays, control=control, shapes=shapes, normals=normals, shape_normals=shape_normals)
 
