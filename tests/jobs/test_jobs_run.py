@@ -246,6 +246,11 @@ def test_a_table_of_an_earlier_run_is_replaced_unless_edited(tmp_path: Path) -> 
     assert edited.state == "failed"
     assert edited.failure["remedy"] == "Give another name, or move it away."  # `cagemap run` has no --force
     assert table.read_text() == "edited"
+    table.write_text("mended")  # as the last finished run left it, but a further output is there already
+    (tmp_path / "one" / "more.txt").write_text("foreign")
+    more = replace(task(tmp_path, "one", key="more"), outputs=("one/out.txt", "one/more.txt"))
+    assert execute(more, tmp_path, write_table).state == "failed"
+    assert table.read_text() == "mended"
 
 
 @pytest.mark.parametrize(

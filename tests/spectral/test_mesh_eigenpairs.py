@@ -150,8 +150,7 @@ def reference(positions, triangles, count):
     return areas, weights, values[order], vectors[:, order], *gradient
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("level", [1, 2])
+@pytest.mark.parametrize("level", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_operators_are_those_of_diffusion_net(surface, level):
     triangles = surface.triangles(level)
     ours = cagemap.operators_for_diffusion_net(surface, level, count=24)

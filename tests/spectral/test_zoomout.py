@@ -75,6 +75,22 @@ def test_zoomout_repairs_a_rough_match():
     assert after < 0.1 * before
 
 
+def test_a_side_with_fewer_functions_keeps_them_all(monkeypatch):
+    sizes = []
+
+    def fitted(rows, areas, values):
+        sizes.append((rows.shape[1], values.shape[1]))
+        return fit_functional_map(rows, areas, values)
+
+    monkeypatch.setattr("cagemap.spectral.zoomout.fit_functional_map", fitted)
+    rows, areas = cosines(RNG.random((60, 2)), 4), np.full(60, 1 / 60)
+    few = rows[:, :7]
+    schedule = ZoomOutSchedule(6, 16, 1.9)
+    for sides in ((rows, few), (few, rows)):
+        zoomout(sides[0], areas, sides[1], np.arange(60), schedule)
+    assert sizes == [(6, 6), (11, 7), (16, 7), (6, 6), (7, 11), (7, 16)]
+
+
 def test_coordinates_beside_the_functions_tell_mirror_images_apart():
     """Every sample has a twin on the other half with the same functions; one coordinate says which half."""
     points, half = RNG.random((150, 2)), np.repeat([[0.0], [1.0]], 150, axis=0)
