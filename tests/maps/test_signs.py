@@ -220,6 +220,11 @@ def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepare
     assert low[farthest.argmax()]
     # Not sure, whatever else speaks for it.
     best = Placement(mesh.positions, 1e-4, name="as the files stand")
+    problem = Problem.of_landmarks(prepared, Landmarks.none())
+    deciding = answer_confidence(problem, wrong, (best,), None, farthest).deciding
+    controls = prepared.mesh.positions[: len(prepared.control_vertices)]
+    nearest = np.linalg.norm(controls - prepared.mesh.positions[farthest.argmax()], axis=1).argmin()
+    assert deciding == prepared.control_vertices[nearest]
     assert Confidence.of((best,), np.arange(3)).verdict == SURE
     doubt = Confidence.of((best,), np.arange(3), {"jumps": share})
     assert doubt.verdict == LOOK
