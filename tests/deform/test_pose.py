@@ -178,7 +178,7 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
     monkeypatch.setattr("cagemap.deform.refit.coarse_fit", fitted)
     assert pose_difference(bent.energy, truth) > POSES_DIFFER
     slid = fine_fit(problem, truth)
-    found = fit_from_shape(problem, rigid_pose(bent.energy.graph, slid))
+    found = fit_from_shape(problem, rigid_pose(bent.energy.graph, slid), slid)
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
     assert before > 0.004  # the minimum beside the truth
     assert after < 0.75 * before
@@ -190,9 +190,9 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(bent, monkeypatch, 
     problem = problem_of(bent)
     asked: list[tuple[PreparedPair, list[float]]] = []
 
-    def fitted(given: Problem, positions: FloatArray) -> FloatArray:
+    def fitted(given: Problem, shape: FloatArray, placed: FloatArray) -> FloatArray:
         asked.append((given.prepared, given.landmarks.target.positions[0].tolist()))
-        return positions
+        return placed
 
     monkeypatch.setattr(refit, "pose_difference", lambda energy, positions: angle)
     monkeypatch.setattr(refit, "rigid_pose", lambda graph, positions, config: positions)

@@ -140,7 +140,6 @@ class SearchConfig(Config):
     end_samples: int = 100  #: vertices of an end that are aligned
     end_rotations: int = 12  #: rotations about the axis from which it is aligned
     end_steps: int = 8  #: steps of the alignment
-    max_end_cost: float = 0.5  #: it is turned if it costs at most this factor of its alignment without a rotation
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
     max_one_way_cost: float = 4e-4  #: from this cost on, without landmarks, the reverse problem is searched too
 
@@ -155,6 +154,7 @@ class RefitConfig(Config):
     min_stiffness: float = 0.02  #: least weight of an edge at a joint, as a share of its own
     max_folded_frame: float = 0.005  #: `match_next` discards a map that folds a larger share of the area
     smoothing: float = 0.02  #: length over which the gradient of rotations and the shifts to the inverse are smoothed
+    slide_smoothing: float = 0.1  #: length over which shifts by the coarse stage are smoothed; fingers are shorter
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
     normal_weight: float = 0.02  #: length of a unit normal in the search on that mesh
 

@@ -38,7 +38,7 @@ def finish_placement(problem: Problem, placed: Placement) -> Placement:
         return placed
     if pose_difference(prepared.energy, placed.positions) > config.refit.min_pose_difference:
         shape = rigid_pose(prepared.energy.graph, placed.positions, config.refit)
-        posed = evaluate_placement(prepared, fit_from_shape(problem, shape))
+        posed = evaluate_placement(prepared, fit_from_shape(problem, shape, placed.positions))
     both_ways = evaluate_placement(prepared, inverse_consistent(problem, posed.positions))
     cheap = both_ways.cost <= config.search.max_equal_cost * posed.cost
     return replace(placed, finished_positions=(both_ways if cheap else posed).positions)
@@ -71,13 +71,19 @@ def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatA
     return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
 
 
-def fit_from_shape(problem: Problem, shape: FloatArray) -> FloatArray:
-    """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start."""
+def fit_from_shape(problem: Problem, shape: FloatArray, placed: FloatArray) -> FloatArray:
+    """(n, 3) positions ``placed`` (n, 3) after the coarse and fine stages, with positions ``shape`` as rest shape.
+
+    The coarse stage starts from the shape. The fine stage starts from the given positions, moved by smoothed shifts to
+    the coarse stage's positions: these slide limbs, but clusters do not show fingers.
+    """
     prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
-    energy = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing)
+    energy, config = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing), prepared.elastic
     alike = replace(problem, prepared=replace(prepared, energy=energy))
-    clusters = alike.clusters_with(stage=prepared.elastic.stiff_coarse)
-    return fine_fit(alike, coarse_fit(alike, shape[clusters.vertices], clusters))
+    clusters = alike.clusters_with(stage=config.stiff_coarse)
+    coarse = coarse_fit(alike, shape[clusters.vertices], clusters).extrapolate_to(energy.graph, config.graph)
+    shifts = smooth_shifts(prepared.energy.graph, coarse - placed, np.ones(len(placed)), config.refit.slide_smoothing)
+    return fine_fit(alike, placed + shifts)
 
 
 def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
@@ -117,7 +123,7 @@ def inverse_consistent(problem: Problem, positions: FloatArray) -> FloatArray:
     mesh, graph, config = prepared.mesh, prepared.energy.graph, prepared.elastic.refit
     start, _ = inverse_positions(mesh, positions, back.mesh, config.normal_weight)
     if pose_difference(back.energy, start) > config.min_pose_difference:
-        returned = fit_from_shape(problem.reverse_problem, rigid_pose(back.energy.graph, start, config))
+        returned = fit_from_shape(problem.reverse_problem, rigid_pose(back.energy.graph, start, config), start)
     else:
         returned = fine_fit(problem.reverse_problem, start)
     places, gaps = inverse_positions(back.mesh, returned, mesh, config.normal_weight)

@@ -31,7 +31,7 @@ def refit_turned_ends(problem: Problem, placed: Placement) -> Placement:
         root = np.flatnonzero((distances >= config.end_length) & (distances < config.end_root * config.end_length))
         if len(end) < config.fewest_end_vertices or not len(root):
             continue
-        images = _turned_images(prepared, placed.positions, end, root)
+        images = _aligned_images(prepared, placed.positions, end, root)
         if images is not None:
             start = placed.positions.copy()
             start[end] = images
@@ -40,10 +40,13 @@ def refit_turned_ends(problem: Problem, placed: Placement) -> Placement:
     return placed
 
 
-def _turned_images(
+def _aligned_images(
     prepared: PreparedPair, positions: FloatArray, end: IndexArray, root: IndexArray
 ) -> FloatArray | None:
-    """Images (k, 3) of an end's vertices (k,), turned about the axis from its root; None if none fits much better."""
+    """Images (k, 3) of an end's vertices (k,) as a rigid shape on the source; None if they have these images already.
+
+    Of alignments from the end's images and from rotations about the axis from its root, the one with the least cost.
+    """
     config, graph = prepared.elastic.search, prepared.energy.graph
     sample = end[evenly_spaced_vertices(len(end), config.end_samples)]
     centres = graph.positions[root].mean(axis=0), positions[root].mean(axis=0)
@@ -51,20 +54,15 @@ def _turned_images(
     lengths = np.linalg.norm([axis, image_axis], axis=1)
     if lengths.min() < LEAST_LENGTH:  # a collapsed end has no axis
         return None
-    scale = float(lengths[1] / lengths[0])
-    onto_axis = Rotation.align_vectors(image_axis[None], axis[None])[0]
-    unturned, cost = _aligned(prepared, sample, fit_similarity(graph.positions[sample], positions[sample]))
-    best, least = unturned, config.max_end_cost * cost
+    scale, onto_axis = float(lengths[1] / lengths[0]), Rotation.align_vectors(image_axis[None], axis[None])[0]
+    starts = [fit_similarity(graph.positions[sample], positions[sample])]
     for angle in np.linspace(0.0, 2.0 * np.pi, config.end_rotations, endpoint=False):
-        turn = Rotation.from_rotvec(angle * image_axis / lengths[1]) * onto_axis
-        rotation = turn.as_matrix()
-        turned, cost = _aligned(prepared, sample, (rotation, scale, centres[1] - scale * rotation @ centres[0]))
-        if cost < least:
-            best, least = turned, cost
-    if best is unturned:
-        return None
-    rotation, scale, shift = best
-    return np.asarray(scale * graph.positions[end] @ rotation.T + shift)
+        rotation = (Rotation.from_rotvec(angle * image_axis / lengths[1]) * onto_axis).as_matrix()
+        starts.append((rotation, scale, centres[1] - scale * rotation @ centres[0]))
+    (rotation, scale, shift), _ = min((_aligned(prepared, sample, start) for start in starts), key=lambda fit: fit[1])
+    images = scale * graph.positions[end] @ rotation.T + shift
+    apart = np.linalg.norm(images - positions[end], axis=1).mean()
+    return np.asarray(images) if apart > config.part_distance else None
 
 
 def _aligned(prepared: PreparedPair, vertices: IndexArray, similarity: Similarity) -> tuple[Similarity, float]:
