@@ -19,7 +19,7 @@ from cagemap.maps.hypotheses.search import inverse_placement
 from cagemap.maps.hypotheses.starts import AS_FILED
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import PointPairs
-from cagemap.mesh.cage_points import Curve, CurvePair
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.parts import extract_faces
 from cagemap.operators import build_operators
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis

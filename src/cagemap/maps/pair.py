@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh.cage_points import CageCurvePairs, CagePoints, Curve, CurvePair
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.topology import mesh_topology
