@@ -19,7 +19,7 @@ from cagemap.pipeline import MatchConfig, choose_level, default_basis, match, pr
 from cagemap.spectral import Surface
 from cagemap.spectral.surface import ENOUGH
 from cagemap.subdivision import Refinement, level_triangles, refine
-from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
 
 WORKER = Path(__file__).resolve().parents[1] / "speed" / "pyfm_worker.py"
 
@@ -51,7 +51,10 @@ def human_rows(
         for direction, landmarks in ((0, forward), (1, forward.reversed())):
             source, target = sides if direction == 0 else sides[::-1]
             found, back = maps[direction], maps[1 - direction]
-            pairs = PointPairs.of_vertices(found.target, found.source, landmarks.target, landmarks.source)
+            pairs = PointPairs(
+                SurfacePoints.from_vertices(found.target, landmarks.target),
+                SurfacePoints.from_vertices(found.source, landmarks.source),
+            )
             figures, trip = compare_with_truth(found, truths[direction], pairs), round_trip(found, back)
             names = (pair.first, pair.second) if direction == 0 else (pair.second, pair.first)
             rows.append(

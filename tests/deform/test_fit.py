@@ -7,6 +7,7 @@ import pytest
 from examples.shapes import creature
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
+from tests.fixtures.vertex_pairs import pair_at, points_at
 
 from cagemap.deform.config import ElasticConfig, GraphConfig, LandmarkConfig, Stage
 from cagemap.deform.data import (
@@ -21,7 +22,6 @@ from cagemap.deform.fit import coarse_fit, fine_fit, landmark_start
 from cagemap.deform.graph import ElasticGraph, cluster_graph, connected_cells, mesh_graph
 from cagemap.deform.problem import Problem
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
@@ -44,7 +44,7 @@ def test_a_surface_fits_itself_from_a_shaken_start(creature_at_3: tuple[Refineme
     surface = surface_of(refinement)
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 3)
     config = ElasticConfig(coarse_vertices=400)
-    pair, prepared = Pair.of_vertices(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
+    pair, prepared = pair_at(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
     graph, problem = prepared.energy.graph, Problem(prepared, pair.landmarks)
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
     starts = start[problem.coarse_clusters.vertices], landmark_start(problem, problem.coarse_clusters)
@@ -69,7 +69,7 @@ def test_same_shape_other_cage_gives_the_identity(creature_at_3: tuple[Refinemen
     found = fitted_map(refinement, other, 2, match, landmarks, ElasticConfig(400))
     error = np.linalg.norm(found.images.positions - scale * refinement.finest.positions, axis=1)
     assert error.mean() < 0.0015  # the bar of issue 3
-    pairs = PointPairs.of_vertices(found.target, found.source, landmarks, landmarks)
+    pairs = points_at(found.target, found.source, landmarks, landmarks)
     figures = measure_quality(found, pairs)
     assert figures.landmark_errors.max() < 1e-12
     assert figures.flipped_area < 2e-3
@@ -223,7 +223,7 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
         return found[np.lexsort((z[found], x[found]))]
 
     body = np.flatnonzero((y > 1.6) & (np.arange(len(y)) % 9 == 0))
-    pair = Pair.of_vertices(
+    pair = pair_at(
         surface_of(refine(source.with_positions(positions), 2)),
         surface_of(refine(source, 2)),
         np.concatenate([body, leg_fronts(-0.5)]),
@@ -243,7 +243,7 @@ def test_what_cannot_be_fitted_is_refused(creature_at_3: tuple[Refinement, float
     with pytest.raises(InvalidLandmarksError, match="repeated"):
         landmark_coordinates(operators.stiffness[1], operators.mass[1], np.array([4, 4, 5]))
     prepared = prepared_at(surface, surface, 1, ElasticConfig(coarse_vertices=200))
-    problem = Problem(prepared, Pair.of_vertices(surface, surface, one, one).landmarks)
+    problem = Problem(prepared, pair_at(surface, surface, one, one).landmarks)
     with pytest.raises(ParameterError, match="one for each coarse vertex"):
         coarse_fit(problem, prepared.energy.graph.positions)
 
@@ -254,7 +254,7 @@ TARGET, SOURCE = np.array([40, 3, 17]), np.array([41, 5, 16])
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     body = prepare_surface(creature(), 2)
-    return Problem(prepare_pair(body, body), Pair.of_vertices(body, body, TARGET, SOURCE).landmarks)
+    return Problem(prepare_pair(body, body), pair_at(body, body, TARGET, SOURCE).landmarks)
 
 
 def test_held_vertices_come_first_each_with_its_place(problem: Problem) -> None:

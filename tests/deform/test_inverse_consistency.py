@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from examples.shapes import creature
+from tests.fixtures.vertex_pairs import points_at
 
 from cagemap.deform import multi_start
 from cagemap.deform.config import ElasticConfig, SearchConfig, StartConfig
@@ -19,7 +20,7 @@ from cagemap.maps.hypotheses.search import inverse_placement
 from cagemap.maps.hypotheses.starts import AS_FILED
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import PointPairs
-from cagemap.mesh.cage_points import Curve, CurvePair
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.parts import extract_faces
 from cagemap.operators import build_operators
 from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
@@ -63,7 +64,7 @@ def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
     """The way back from a slid fit of a shape onto itself ends where it should: half of the slide is left."""
     landmarks = np.arange(0, prepared.target.refinement.levels[0].n_vertices, 4)
     on = prepared.source.finest_triangles
-    pairs = PointPairs.of_vertices(on, on, landmarks, landmarks)
+    pairs = points_at(on, on, landmarks, landmarks)
     problem = Problem(prepared, pairs)
     start = slid(prepared, 0.01)
     start[landmarks] = prepared.mesh.positions[landmarks]
@@ -101,9 +102,9 @@ def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None
     np.testing.assert_array_equal(back.level_masks.source, masks.target[: back.source_surface.n])
     vertices = np.arange(4)
     on = pair.source.finest_triangles
-    line = Curve(PointPairs.of_vertices(on, on, vertices, vertices).target, False)
+    line = Curve(points_at(on, on, vertices, vertices).target, False)
     closed = Curve(line.points, True)
-    pairs = PointPairs.of_vertices(on, on, vertices, vertices + 9)
+    pairs = points_at(on, on, vertices, vertices + 9)
     turned = PointPairs(pairs.target, pairs.source, (CurvePair("rim", line, closed),)).reversed()
     np.testing.assert_array_equal(turned.target.positions, pairs.source.positions)
     assert turned.curves[0].target.closed
@@ -121,7 +122,7 @@ def on_part(prepared: PreparedPair) -> Problem:
     source = Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
     pair = PreparedPair.build(prepared.target, source, StartConfig(search_vertices=1000))
     corners = np.arange(0, part.n_vertices, 4)
-    landmarks = PointPairs.of_vertices(
+    landmarks = points_at(
         prepared.source.finest_triangles, pair.source.finest_triangles, part.file_vertices[corners], corners
     )
     return Problem(pair, landmarks)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from examples.shapes import creature
+from tests.fixtures.vertex_pairs import pair_at
 
 from cagemap.deform import multi_start, refit
 from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
@@ -23,7 +24,6 @@ from cagemap.deform.refit import (
     rigid_pose,
 )
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import Pair
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
 from cagemap.operators import build_operators
@@ -163,7 +163,7 @@ def bent() -> PreparedPair:
 def problem_of(prepared: PreparedPair) -> Problem:
     """With every twelfth vertex a landmark."""
     vertices = np.arange(0, prepared.target.control.n_vertices, 12)
-    return Problem(prepared, Pair.of_vertices(prepared.target, prepared.source, vertices, vertices).landmarks)
+    return Problem(prepared, pair_at(prepared.target, prepared.source, vertices, vertices).landmarks)
 
 
 @pytest.mark.slow

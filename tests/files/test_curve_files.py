@@ -18,7 +18,7 @@ from cagemap.files.landmarks.points import read_points
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.mesh import Plain
-from cagemap.mesh.cage_points import Curve, CurvePair, curve_faults
+from cagemap.mesh.curves import Curve, CurvePair, curve_faults
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.parts import join_meshes
 from cagemap.tasks.match_parts import PartInputs, ready_inputs

@@ -35,7 +35,8 @@ from cagemap.files.schema import Record, parse_record
 from cagemap.files.values.attributes import read_attributes, write_attributes
 from cagemap.files.values.rigs import read_skeleton, write_shapes
 from cagemap.mesh import Plain
-from cagemap.mesh.cage_points import CagePoints, Curve, CurvePair
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import prepare_surface
 from cagemap.spectral import BasisConfig

@@ -16,7 +16,8 @@ from cagemap.errors import FormatError
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.pair import Pair, curve_pairs, point_pairs, refined_edges
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
-from cagemap.mesh.cage_points import CagePoints, CurvePair, NamedPoints
+from cagemap.mesh.cage_points import CagePoints, NamedPoints
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.mesh.topology import mesh_topology
 from cagemap.paper.constraints import curve_rows

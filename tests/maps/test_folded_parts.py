@@ -5,10 +5,10 @@ import pytest
 from examples.shapes import creature
 from scipy import sparse
 from scipy.spatial import Delaunay
+from tests.fixtures.vertex_pairs import pair_at
 
 from cagemap.deform.config import ElasticConfig, ProjectionConfig
 from cagemap.errors import SolverError
-from cagemap.maps.pair import Pair
 from cagemap.maps.projection import relax as folds
 from cagemap.maps.projection.flatten import (
     Disc,
@@ -304,7 +304,7 @@ def test_unfolding_knows_what_still_folds_however_far_folds_spread(creature_at_3
 def test_projection_meets_landmarks_wherever_the_fit_left_them(creature_at_3: tuple[Refinement, float]) -> None:
     surface = surface_of(creature_at_3[0])
     prepared = prepared_at(surface, surface, surface.finest_level, ElasticConfig())
-    pair = Pair.of_vertices(surface, surface, landmarks := np.array([3, 40, 90]), landmarks)
+    pair = pair_at(surface, surface, landmarks := np.array([3, 40, 90]), landmarks)
     positions = prepared.source.finest_triangles.positions
     fitted = positions.copy()
     fitted[landmarks] = positions[np.array([500, 700, 900])]  # far off: the closest triangle does not hold the landmark

@@ -16,7 +16,7 @@ from cagemap.deform.problem import Problem
 from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.hypotheses.confidence import SIGN_BOUNDS, SURE, TWO, Confidence, mirrored_gain
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.cage_points import CurvePair
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchResult, match, prepare_pair, prepare_surface
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from benchmarks.truth import compare_with_truth, true_map
 from examples import shapes
+from tests.fixtures.vertex_pairs import pair_at
 
 from cagemap import (
     BasisConfig,
@@ -29,7 +30,7 @@ from cagemap import (
 )
 from cagemap.deform.config import StartConfig
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
-from cagemap.maps.pair import Pair, near_vertices
+from cagemap.maps.pair import near_vertices
 from cagemap.mesh import CatmullClark, Loop, Plain
 from cagemap.paper.method import finer_level_pairs, search_levels
 from cagemap.pipeline import pair_of
@@ -149,7 +150,7 @@ def test_levels_are_walked_down_together(pony):
     """Each step moves each side by at most one level, ends at both finest levels, and never backwards."""
     source, target = prepare_surface(pony, 3, BASIS), prepare_surface(shapes.creature(), 2, BasisConfig(count=20))
     nothing = np.zeros(0, dtype=np.int64)
-    steps = [(0, 0), *finer_level_pairs(Pair.of_vertices(target, source, nothing, nothing), (0, 0))]
+    steps = [(0, 0), *finer_level_pairs(pair_at(target, source, nothing, nothing), (0, 0))]
     assert steps[-1] == (2, 3)
     moves = np.diff(steps, axis=0)
     assert moves.min() >= 0

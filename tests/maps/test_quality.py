@@ -9,6 +9,7 @@ from examples.shapes import torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
+from tests.fixtures.vertex_pairs import points_at
 
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import WHOLE, Masks
@@ -190,7 +191,7 @@ def test_a_vertex_pulled_across_its_ring_flips_triangles_and_loses_trust() -> No
 def test_the_identity_has_perfect_figures(n: int) -> None:
     positions, triangles = sphere(n, (1.0, 0.6, 0.4))
     target, source = (TriangleSurface.from_faces(size * positions, triangles) for size in (5.0, 0.1))
-    landmarks = PointPairs.of_vertices(target, source, np.array([3, 50]), np.array([3, 50]))
+    landmarks = points_at(target, source, np.array([3, 50]), np.array([3, 50]))
     figures = measure_quality(PointMap.from_vertices(target, source, np.arange(n)), landmarks)
     assert figures.flipped_area == 0
     assert figures.coverage == 1
@@ -297,7 +298,7 @@ def test_a_warning_names_the_landmark_nearest_to_the_worst_place() -> None:
     squeezed = np.where(x > middle, middle + (x - middle) / 3, x)  # all beyond the middle
     places = np.column_stack([squeezed, found.target.positions[:, 1:]])
     ends = np.array([x.argmin(), x.argmax()])
-    points = PointPairs.of_vertices(found.target, found.source, ends, ends)
+    points = points_at(found.target, found.source, ends, ends)
     named = PointPairs(points.target, points.source, names=("left", "right"))
     squeezed_map = PointMap(found.target, SurfacePoints.nearest(found.source, places))
     (warning,) = (text for text in measure_quality(squeezed_map, named).warnings if "stretches" in text)
@@ -360,7 +361,7 @@ def test_truth_figures_see_a_known_shift() -> None:
     truth = true_map(surface, surface)
     assert truth.known.all()
     shifted = PointMap(surface, SurfacePoints.nearest(surface, surface.positions + np.array([0.01, 0.0, 0.0])))
-    corner = PointPairs.of_vertices(surface, surface, np.array([0]), np.array([0]))
+    corner = points_at(surface, surface, np.array([0]), np.array([0]))
     figures = compare_with_truth(shifted, truth, corner)
     inside = surface.positions[:, 0] < 0.98
     np.testing.assert_allclose(figures.errors[inside], 0.01, atol=1e-12)

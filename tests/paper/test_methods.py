@@ -9,6 +9,7 @@ from benchmarks.accuracy.data import HUMANS
 from benchmarks.paper.stages import extended, noise
 from examples import shapes
 from scipy.spatial.transform import Rotation
+from tests.fixtures.vertex_pairs import pair_at
 
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
@@ -95,7 +96,7 @@ def test_hfm_does_not_see_how_the_source_is_turned():
                              BasisConfig(schedule=(40, 15, 5)))  # fmt: skip
     vertices = pair.target_landmarks
     config = HfmConfig(zoomout=ZoomOutSchedule(20, 60), search_vertices=300)
-    found = hfm_map(Pair.of_vertices(pair.target, turned, vertices, vertices), config)[1]
+    found = hfm_map(pair_at(pair.target, turned, vertices, vertices), config)[1]
     away = np.linalg.norm(found.images.positions @ turn.T - pair.target.triangles(2).positions, axis=1)
     assert away.max() < 0.02
 
@@ -103,7 +104,7 @@ def test_hfm_does_not_see_how_the_source_is_turned():
 def creature_pair(level=1, schedule=(20, 10)):
     surface = prepare_surface(shapes.creature(), level, BasisConfig(schedule=schedule))
     chosen = np.arange(0, surface.control.n_vertices, 7)
-    return Pair.of_vertices(surface, surface, chosen, chosen)
+    return pair_at(surface, surface, chosen, chosen)
 
 
 @pytest.mark.slow
@@ -156,7 +157,7 @@ def test_sides_may_have_their_own_levels_and_schedules():
     one = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(12, 6, 4)))
     two = prepare_surface(shapes.creature(), 1, BasisConfig(schedule=(10, 8)))
     chosen = np.arange(0, one.control.n_vertices, 9)
-    maps, points = paper_map(Pair.of_vertices(one, two, chosen, chosen))
+    maps, points = paper_map(pair_at(one, two, chosen, chosen))
     assert maps[-1].levels == (2, 1)
     assert maps[-1].functional_map.shape == (22, 18)
     assert points.source.n == two.refinement.finest.n_vertices

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from examples import shapes
+from tests.fixtures.vertex_pairs import pair_at
 
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.obj import read_obj
-from cagemap.maps.pair import Pair
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mirrors import is_symmetry, mirror_symmetries, reflect
 from cagemap.operators import build_operators
@@ -79,12 +79,12 @@ def test_planes_of_both_sides_are_paired_as_landmarks_say(turned):
     corners = np.sign(box.positions)
     partner = [int(np.flatnonzero((corners == corner[list(turned)]).all(axis=1))[0]) for corner in corners]
     vertices = np.arange(8)
-    pairs = paired_mirrors(Pair.of_vertices(surface, surface, vertices, np.array(partner)))
+    pairs = paired_mirrors(pair_at(surface, surface, vertices, np.array(partner)))
     assert len(pairs) == 3
     for at_target, at_source in pairs:
         np.testing.assert_array_equal(at_source[partner], np.array(partner)[at_target])
     scrambled = np.array([0, 3, 5, 6, 1, 7, 2, 4])[partner]
-    assert paired_mirrors(Pair.of_vertices(surface, surface, vertices, scrambled)) == ()
+    assert paired_mirrors(pair_at(surface, surface, vertices, scrambled)) == ()
 
 
 def test_without_landmarks_only_single_planes_belong_together():
@@ -92,7 +92,7 @@ def test_without_landmarks_only_single_planes_belong_together():
     for shape, count in ((shapes.cube, 0), (shapes.creature, 1)):
         surface = Surface(refine(shape(), 1), BasisConfig(count=6))
         none = np.zeros(0, dtype=np.int64)
-        assert len(paired_mirrors(Pair.of_vertices(surface, surface, none, none))) == count
+        assert len(paired_mirrors(pair_at(surface, surface, none, none))) == count
 
 
 def test_a_landmark_that_every_plane_keeps_tells_no_planes_apart():
@@ -102,9 +102,9 @@ def test_a_landmark_that_every_plane_keeps_tells_no_planes_apart():
         for lengths in ([1.0, 2.0, 3.5], [3.5, 1.0, 2.0])
     ]
     one = np.zeros(1, dtype=np.int64)
-    assert paired_mirrors(Pair.of_vertices(*sides, one, one)) == ()
+    assert paired_mirrors(pair_at(*sides, one, one)) == ()
     creature = Surface(refine(shapes.creature(), 1), BasisConfig(count=6))
-    assert len(paired_mirrors(Pair.of_vertices(creature, creature, one, one))) == 1
+    assert len(paired_mirrors(pair_at(creature, creature, one, one))) == 1
 
 
 def test_symmetry_propagates_with_the_positions():

@@ -42,7 +42,7 @@ from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.files.images.image import Image
 from cagemap.maps.functional_maps import LevelMap
-from cagemap.mesh.cage_points import CurvePair
+from cagemap.mesh.curves import CurvePair
 from cagemap.numerics.kinds import _expected, kinds_checked
 from cagemap.operators.laplacian import named_laplacian, stiffness, vertex_areas
 from cagemap.research import gather_constraints

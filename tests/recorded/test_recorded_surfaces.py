@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import pytest
 from examples.shapes import creature, cube, icosahedron, torus, triangulated
+from tests.fixtures.vertex_pairs import points_at
 
 from cagemap.character.passengers import carry_passengers, far_passenger, hidden_passenger
 from cagemap.maps.masks import Masks
-from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
@@ -125,7 +125,7 @@ def test_wrapped_cages(pair: tuple[Refinement, Refinement, PointMap]) -> None:
 
 def test_quality_of_a_map(pair: tuple[Refinement, Refinement, PointMap]) -> None:
     point_map = pair[2]
-    marks = PointPairs.of_vertices(point_map.target, point_map.source, np.array([0, 9, 40]), np.array([0, 11, 30]))
+    marks = points_at(point_map.target, point_map.source, np.array([0, 9, 40]), np.array([0, 11, 30]))
     marks = replace(marks, names=("a", "b", "c"))
     masks = Masks(np.clip(point_map.target.positions[:, 0] + 0.4, 0.0, 1.0), np.ones(point_map.source.n))
     squeezed = np.where(np.abs(point_map.images.positions) > 0.2, 0.3, 1.0) * point_map.images.positions

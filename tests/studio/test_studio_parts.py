@@ -19,7 +19,8 @@ from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import stated_inputs
 from cagemap.files.usd.write import write_usd
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.cage_points import CagePoints, CurvePair
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import CurvePair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract_faces, join_meshes, list_parts, numbers_on_part
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave, read_autosave_parts, write_autosave

@@ -11,7 +11,8 @@ from cagemap.errors import ParameterError
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.files.result.folder import write_result
 from cagemap.maps.pair import nearest_free_vertices
-from cagemap.mesh.cage_points import CagePoints, Curve, CurvePair
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.suggest import SuggestRequest

@@ -27,7 +27,8 @@ from cagemap.jobs.plan import PairNames, Plan, Task, content_hash, task_key
 from cagemap.maps.pair import cage_points_of, locate
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage, on_cage_curve
+from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
+from cagemap.mesh.curves import on_cage_curve
 from cagemap.mesh.parts import numbers_on_part
 from cagemap.numerics.arrays import FloatArray
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface

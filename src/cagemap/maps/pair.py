@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh.cage_points import CageCurvePairs, CagePoints, Curve, CurvePair
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
 from cagemap.mesh.faces import cage_triangles
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.topology import mesh_topology
@@ -57,15 +58,6 @@ class PointPairs:
     def __repr__(self) -> str:
         return f"PointPairs({len(self.target)} points, {len(self.curves)} curves)"
 
-    @classmethod
-    def of_vertices(
-        cls, target: TriangleSurface, source: TriangleSurface, target_vertices: IndexArray, source_vertices: IndexArray
-    ) -> PointPairs:
-        """Pairs of vertices."""
-        return cls(
-            SurfacePoints.from_vertices(target, target_vertices), SurfacePoints.from_vertices(source, source_vertices)
-        )
-
     def __len__(self) -> int:
         return len(self.target)
 
@@ -102,19 +94,6 @@ class Pair:
     def __repr__(self) -> str:
         count = len(self.landmarks.target.triangle)
         return f"Pair({self.target} -> {self.source}, {count} landmarks, {len(self.symmetries)} symmetries)"
-
-    @classmethod
-    def of_vertices(
-        cls,
-        target: Surface,
-        source: Surface,
-        target_vertices: IndexArray,
-        source_vertices: IndexArray,
-        symmetries: tuple[SymmetryPair, ...] = (),
-    ) -> Pair:
-        """Two surfaces with landmarks at control vertices, which are vertices of all levels."""
-        surfaces = target.finest_triangles, source.finest_triangles
-        return cls(target, source, PointPairs.of_vertices(*surfaces, target_vertices, source_vertices), symmetries)
 
     def levels(self, given: LevelPair | None = None) -> LevelPair:
         """Levels of target and source, by default the finest; ParameterError for missing ones."""

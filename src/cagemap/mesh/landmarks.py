@@ -14,19 +14,17 @@ import numpy as np
 
 from cagemap.errors import DirectionError, InvalidLandmarksError
 from cagemap.mesh.cage_points import (
-    CageCurvePairs,
     CagePoints,
     NamedPoints,
     Renumbering,
-    curve_faults,
     find_repeats,
     on_cage,
     outside_fault,
-    paired_curves,
     repeated_fault,
     shared_names,
 )
 from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.curves import CageCurvePairs, curve_faults, paired_curves
 from cagemap.mesh.mesh_report import first_few, list_problems
 from cagemap.numerics.arrays import IndexArray, whole_numbers
 

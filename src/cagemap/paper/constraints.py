@@ -15,7 +15,7 @@ from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.maps.pair import Pair
-from cagemap.mesh.cage_points import Curve
+from cagemap.mesh.curves import Curve
 from cagemap.numerics.arrays import FloatArray, IndexArray, finite_numbers
 from cagemap.numerics.kinds import Config, kinds_checked
 from cagemap.numerics.threads import in_threads

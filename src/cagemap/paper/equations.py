@@ -26,6 +26,8 @@ def solve_functional_map(
 
     A ``known`` leading block C_l (a, b) is kept (eq. 14); the three other blocks are solved for together. If operators
     have no entries between low and high functions, the system separates into eq. 16 and one for the high rows.
+    Of the config ``laplacian``, ``operators`` and ``decay`` are read.
+
     ParameterError if the known block is larger than C.
     """
     target, source = constraints.target, constraints.source
@@ -68,6 +70,7 @@ def extend_functional_map(coarse: FloatArray, constraints: Constraints, config: 
 
     C_l is kept. Tridiagonal operators are cut to their diagonal blocks (eq. 15): low rows then determine C_lh alone
     (eq. 16), high rows C_hl and C_h. Denser operators keep their entries and couple all three (end of 5.3.2).
+    The config is read as by `solve_functional_map`.
     """
     low1, low2 = coarse.shape
     split = Constraints(split_operators(constraints.target, low1), split_operators(constraints.source, low2))

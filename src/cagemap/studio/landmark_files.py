@@ -16,7 +16,8 @@ from cagemap.files.landmarks.point_formats import POINT_FORMS, is_of_pairs, poin
 from cagemap.files.landmarks.points import read_points
 from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.cage_points import CagePoints, Curve, NamedCurve, NamedPoints, Renumbering
+from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, Renumbering
+from cagemap.mesh.curves import Curve
 from cagemap.mesh.landmarks import Landmarks, check_landmarks, pair_by_name
 from cagemap.studio.autosave import FileTracker, autosave_path, read_autosave
 from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side

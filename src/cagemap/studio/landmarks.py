@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from cagemap.mesh.cage_points import CageCurvePairs
+from cagemap.mesh.curves import CageCurvePairs
 from cagemap.mesh.landmarks import Landmarks
 
 Side = Literal["target", "source"]

@@ -33,9 +33,9 @@ class MeshState:
     topology: Topology
     corner: BoolArray  # (n,) fixed boundary vertices
     edges: FloatArray = field(default_factory=_no_sharpness)  # (e,) sharpness, 0 where smooth, infinite on the boundary
-    halves: FloatArray = field(default_factory=_no_sharpness)  # (e, 2) of both child edges, start first
-    vertices: FloatArray = field(default_factory=_no_sharpness)  # (n,)
-    after: FloatArray = field(default_factory=_no_sharpness)  # (n,) of vertices after a step
+    halves: FloatArray = field(default_factory=_no_sharpness)  # (e, 2) sharpness of both child edges, start first
+    vertices: FloatArray = field(default_factory=_no_sharpness)  # (n,) sharpness
+    after: FloatArray = field(default_factory=_no_sharpness)  # (n,) sharpness of vertices after a step
     follows: IndexArray | None = None  # (n,) of UVs: i has the edge sharpness around vertex follows[i]; None: its own
 
     @property

@@ -36,8 +36,9 @@ from cagemap.files.usd.convert import document_and_character
 from cagemap.files.usd.space import similar_space
 from cagemap.files.usd.stages import USD_SUFFIXES, is_usd, usd_modules
 from cagemap.mesh import ControlMesh, Plain
-from cagemap.mesh.cage_points import CagePoints, Curve, CurvePair, NamedPoints, on_cage
+from cagemap.mesh.cage_points import CagePoints, NamedPoints, on_cage
 from cagemap.mesh.checks import check_mesh
+from cagemap.mesh.curves import Curve, CurvePair
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.mesh_report import count_noun, first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray

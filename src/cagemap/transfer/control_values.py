@@ -30,8 +30,6 @@ _SAME_UV = 1e-7
 # A seam lies between two walks' ends if more than this share of their weights differs.
 _MAX_WEIGHT_CHANGE = 0.5
 
-LinearValues = tuple[sparse.csr_array, IndexArray]  # of `interpolate_linearly`
-
 
 def control_weights(point_map: PointMap, target: Refinement, source: Refinement) -> sparse.csr_array:
     """(c1, c2) weights of the source's control vertices at every control vertex of the target.
@@ -40,18 +38,19 @@ def control_weights(point_map: PointMap, target: Refinement, source: Refinement)
     sum to 1, and have at most as many entries as a source face has corners.
     """
     control = source.control
-    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.finest_level, source.scheme)
+    linear, corners = interpolate_linearly(
+        control, control.face_indices, control.n_vertices, source.finest_level, source.scheme
+    )
     rows = target.control.n_vertices
-    return _weights_at(linear, point_map.triangle[:rows], point_map.barycentric[:rows])
+    return _weights_at(linear, corners[point_map.triangle[:rows]], point_map.barycentric[:rows])
 
 
-def _weights_at(linear: LinearValues, triangle: IndexArray, barycentric: FloatArray) -> sparse.csr_array:
-    """(k, p0) weights of the control mesh's values at points of the surface."""
-    matrix, corners = linear
-    k = len(triangle)
-    places = corners[triangle].ravel(), np.arange(0, 3 * k + 1, 3)
-    rows = sparse.csr_array((barycentric.ravel(), *places), shape=(k, matrix.shape[0]))
-    weights = sparse.csr_array(rows @ matrix)
+def _weights_at(linear: sparse.csr_array, corners: IndexArray, barycentric: FloatArray) -> sparse.csr_array:
+    """(k, p0) weights of the control mesh's values at points, by their triangles' corners (k, 3) in ``linear``."""
+    k = len(corners)
+    places = corners.ravel(), np.arange(0, 3 * k + 1, 3)
+    rows = sparse.csr_array((barycentric.ravel(), *places), shape=(k, linear.shape[0]))
+    weights = sparse.csr_array(rows @ linear)
     weights.eliminate_zeros()
     weights.sort_indices()
     return weights
@@ -84,17 +83,23 @@ def corner_weights(
     the walk from the centre of the refined triangle at the corner to the image of its vertex does not cross seams.
     """
     control = target.control
-    linear = interpolate_linearly(source.control, nodes, count, source.finest_level, source.scheme)
-    sides = triangle_neighbors(linear[1])
+    linear, corners = interpolate_linearly(source.control, nodes, count, source.finest_level, source.scheme)
+    sides = triangle_neighbors(corners)
     tips = corner_triangles(control, target.finest_level, target.scheme)
     centres = locate_centers(transfer.mapped)
     points = transfer.mapped.mapped[control.face_indices]
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[tips], points)
-    return _weights_at(linear, triangle, barycentric), _crossed_faces(transfer, control, linear, sides, centres)
+    weights = _weights_at(linear, corners[triangle], barycentric)
+    return weights, _crossed_faces(transfer, control, linear, corners, sides, centres)
 
 
 def _crossed_faces(
-    transfer: Transfer, control: ControlMesh, linear: LinearValues, sides: NDArray[np.int32], centres: IndexArray
+    transfer: Transfer,
+    control: ControlMesh,
+    linear: sparse.csr_array,
+    corners: IndexArray,
+    sides: NDArray[np.int32],
+    centres: IndexArray,
 ) -> NDArray[np.bool_]:
     """(m1,) whether a seam separates the images of two neighbouring refined triangles of a face."""
     target = transfer.target
@@ -106,8 +111,9 @@ def _crossed_faces(
     near, far = near[inside], far[inside]
     points = transfer.mapped.mapped[target.triangles[far]].mean(axis=1)
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[near], points)
-    end_beyond = walk_from(transfer.mapped.frames, sides, centres[far], points)
-    apart = 0.5 * abs(_weights_at(linear, triangle, barycentric) - _weights_at(linear, *end_beyond)).sum(axis=1)
+    triangle_beyond, beyond = walk_from(transfer.mapped.frames, sides, centres[far], points)
+    change = _weights_at(linear, corners[triangle], barycentric) - _weights_at(linear, corners[triangle_beyond], beyond)
+    apart = 0.5 * abs(change).sum(axis=1)
     crossed = np.zeros(control.n_faces, dtype=np.bool_)
     crossed[face[near[apart > _MAX_WEIGHT_CHANGE]]] = True
     return crossed

@@ -18,7 +18,8 @@ from scipy.sparse.csgraph import depth_first_order
 
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.text import whole_characters
-from cagemap.mesh.cage_points import CageCurvePairs, CagePoints, Curve, CurvePair, NamedCurve
+from cagemap.mesh.cage_points import CagePoints, NamedCurve
+from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import IndexArray, shown
 

@@ -12,9 +12,10 @@ import numpy as np
 from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.npz import Archive, ArraySpec, lie_in_triangles
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.cage_points import CageCurvePairs, CagePoints, Curve, CurvePair
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.checks import SEVERAL, require_valid
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.curves import CageCurvePairs, Curve, CurvePair
 from cagemap.mesh.schemes import SCHEMES, Scheme, scheme_name
 from cagemap.numerics.arrays import offsets_of
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from cagemap.files import IMAGE_SUFFIXES
 from cagemap.files.meshes.formats import MESH_SUFFIXES
-from cagemap.mesh.cage_points import CagePoints, Curve
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import Curve
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.numerics.arrays import FloatArray, offsets_of
 from cagemap.pictures.colors import distinct_colors
