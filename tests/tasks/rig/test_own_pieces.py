@@ -99,7 +99,8 @@ def test_a_passenger_away_from_the_body_is_named(body: ControlMesh) -> None:
 
 def test_an_own_part_away_from_the_body_is_named(body: ControlMesh) -> None:
     """A second figure in the body's file would be moved by the nearest limb of the first, without a word."""
-    places = body.positions.max(axis=0), body.positions.mean(axis=0) + [10 * np.sqrt(face_areas(body).sum()), 0, 0]
+    size = float(np.sqrt(face_areas(body).sum()))
+    places = body.positions.max(axis=0), body.positions.mean(axis=0) + size * np.array([10.0, 0.0, 0.0])
     own = [Part(name, ball(name, place, 0.1)) for name, place in zip(("sword", "figure"), places, strict=True)]
     rig, weights = Rig(("hips",), np.array([-1]), *2 * [np.eye(4)[None]]), np.ones((body.n_vertices, 1))
     source = Character((Part("body", body, sparse.csr_array(weights)),), rig)
