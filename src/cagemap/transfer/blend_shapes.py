@@ -187,7 +187,8 @@ def contacts(carrier: ShapeCarrier, moves: FloatArray) -> tuple[IndexArray, Inde
     opposed, column = np.nonzero(is_contact)
     targets, lengths = carrier.point_map.target.positions, edge_lengths[opposed]
     target_distance = np.linalg.norm(targets[nearest[opposed, column]] - targets[opposed], axis=1)
-    is_contact[opposed, column] = (target_distance > 3 * lengths) | (distance[opposed, column] < 0.1 * lengths)
+    is_touching = np.asarray(distance)[opposed, column] < 0.1 * lengths
+    is_contact[opposed, column] = (target_distance > 3 * lengths) | is_touching
     in_contact = is_contact.any(axis=1)
     first = np.flatnonzero(in_contact)
     second = nearest[first, np.argmax(is_contact[first], axis=1)]
@@ -255,7 +256,7 @@ def _inverse_frames(positions: FloatArray, triangles: IndexArray) -> tuple[Float
     edge_length = np.linalg.norm(frames[:, :, :2], axis=(1, 2))
     is_regular = np.abs(np.linalg.det(frames)) > 1e-9 * edge_length**2
     frames[~is_regular] = np.eye(3)
-    return np.linalg.inv(frames), is_regular
+    return np.asarray(np.linalg.inv(frames)), np.asarray(is_regular)
 
 
 def _deformation(
