@@ -33,6 +33,7 @@ TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry
 PERCENTILE_BINS = 4096
 COVERAGE_SAMPLES = 50_000
 ON_SURFACE = 1e-6  # of sqrt(area): closer points are on the surface
+MASK_ADVICE = ". Mask it, if it is to keep its own"
 # Warning about masks that leave no part of the map.
 NOTHING_JOINED = (
     "the map leads from no unmasked part of the target to an unmasked part of the source: look at the masks of both "
@@ -329,7 +330,7 @@ def unshared_warnings(target_share: float, source_share: float) -> tuple[str, ..
     if target_share < COVERAGE_TOLERANCE:
         messages.append(
             f"{100 * (1 - target_share):.1f} % of the target has no counterpart on the source: it receives what the "
-            "nearest places that have one receive. Mask it, if it is to keep its own"
+            f"nearest places that have one receive{MASK_ADVICE}"
         )
     if source_share < COVERAGE_TOLERANCE:
         messages.append(f"{100 * (1 - source_share):.1f} % of the source has no counterpart on the target")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cagemap.character.body_frames import SignedDistances
 from cagemap.character.normals import with_shape_normals
 from cagemap.character.own_parts import with_nearest_values
 from cagemap.character.passenger_pieces import PassengerKind
@@ -29,6 +30,8 @@ from cagemap.tasks.bodies import Bodies, body_shapes, match_bodies
 from cagemap.tasks.carry_arrays import carry_weights
 from cagemap.tasks.compared_parts import compare_parts, named_pieces, part_of_faces
 from cagemap.tasks.progress import Stages
+
+_DISTANCE_SAMPLES = 500  # vertices of a part, to measure its distance from the body
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +129,7 @@ def carry_character(
     if weights is not None:
         counterparts = [[part for part in parts if part.weights is not None] for parts in counterparts]
     own = with_nearest_values([*loose, *others], skin, counterparts, result.point_map.target, influences)
+    notes += [] if weights is None else _far_own_notes(target_body, others, result)
     body = replace(target_body, name=source_body.name, weights=weights, shapes=shapes)
     body = _with_values_of(body, own[: len(loose)], matched.ready[0].vertex_of < 0)
     body = replace(body, shapes={**body.shapes, **target_body.shapes})
@@ -189,6 +193,17 @@ def _left_out_note(bodies: Bodies, pieces: Part, kept: IndexArray) -> str:
 def _doubled_note(body: Part, names: Sequence[str]) -> list[str]:
     text = "has own pieces of this kind or place. To leave out the character's, name the others by --passengers"
     return [f"{', '.join(names)}: the mesh of {body.mesh.name} {text}"] if names else []
+
+
+def _far_own_notes(body: Part, others: Sequence[Part], result: MatchResult) -> list[str]:
+    """Notes on other parts of the target that are far from its body, such as a second figure."""
+    surface, notes = result.point_map.target, list[str]()
+    for part in others:
+        points = surface.scale * part.mesh.positions[:: 1 + part.mesh.n_vertices // _DISTANCE_SAMPLES]
+        distance = float(np.abs(SignedDistances.of(surface, points).heights).mean())
+        if far := far_passenger(part.name, body.name, distance, 1.0):
+            notes.append(f"{far}, but moves with it: if it is no part of it, delete it from {body.mesh.name}")
+    return notes
 
 
 def _set_aside(bodies: Bodies, side: int) -> Part:

@@ -89,7 +89,7 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
         character = with_part(character, part, with_shapes)
     pieces_of = {part.name: body.name for part, _ in others if not part.shapes}
     character = with_shape_weights(character, file_character, pieces_of)
-    notes += [*bodies.notes, *body_warnings(bodies.result)]
+    notes += [*bodies.notes, *body_warnings(bodies.result, ("head", "built-in face"))]
     notes += [f"{', '.join(kept)}: {request.head.name} has its own and keeps them"] if kept else []
     stages.record({"part": body.name, "shapes": list(shapes), "trusted_area": trusted})
     stages("write")

@@ -13,6 +13,7 @@ from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.result.manifest import doubt_message, landmark_messages, sure_message
 from cagemap.files.result.verdicts import map_verdict
 from cagemap.maps.hypotheses.confidence import describe_signs
+from cagemap.maps.quality import MASK_ADVICE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.tasks.requests.match import MatchRequest
@@ -104,8 +105,11 @@ def warnings(result: MatchResult) -> list[str]:
     return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"], *_poor_map(manifest)]
 
 
-def body_warnings(result: MatchResult) -> list[str]:
-    """Warnings about landmarks and the map of two bodies; a doubt without options of `cagemap match`."""
+def body_warnings(result: MatchResult, names: tuple[str, str] = ("body", "character")) -> list[str]:
+    """Warnings about landmarks and the map of two bodies, in words of commands without options of `cagemap match`.
+
+    ``names``: of the target and of the source.
+    """
     manifest = result.manifest
     doubt = doubt_message(manifest)
     about_landmarks = [text for text in landmark_messages(manifest) if text != doubt]
@@ -113,7 +117,9 @@ def body_warnings(result: MatchResult) -> list[str]:
     if doubt:
         findings = describe_signs(manifest["confidence"]["signs"])
         doubts = [_DOUBT.format(f": {findings[0]}" if findings else "")]
-    return [*about_landmarks, *manifest["quality"]["warnings"], *_poor_map(manifest), *doubts]
+    texts = [*about_landmarks, *manifest["quality"]["warnings"], *_poor_map(manifest), *doubts]
+    named = [text.replace("the target", f"the {names[0]}").replace("the source", f"the {names[1]}") for text in texts]
+    return [text.removesuffix(MASK_ADVICE) for text in named]
 
 
 def _poor_map(manifest: Mapping[str, Any]) -> list[str]:

@@ -51,5 +51,5 @@ def size_warning(result: MatchResult, body: Path, like: Path) -> list[str]:
     spans = [float(np.ptp(side.control.positions, axis=0).max()) for side in (result.target, result.source)]
     return [
         f"{body} is {ratio:.3g} times as large as {like} ({spans[0]:.3g} m, {spans[1]:.3g} m): clothes "
-        "and skeleton are scaled to the body. If a file has another unit than the metre, scale the body before"
+        f"and skeleton are scaled to the body. If {body} has another unit than the metre, scale it before"
     ]

@@ -19,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
@@ -65,6 +66,7 @@ class ShapeCarrier:
     rotations: FloatArray  # (t, 3, 3) Q, from the target to the source
     vertex_rotations: FloatArray  # (s, 3, 3)
     length_ratio: float  # length on the target for a length of 1 on the source, both at unit area
+    rest: tuple[FloatArray, NDArray[np.bool_]]  # of the images, by `_inverse_frames`
     control_weights: sparse.csr_array  # (c1, c2) target control vertices from source control vertices
     ridge: sparse.dia_array  # (c1, c1), to be multiplied by the anchor
     mass: sparse.csr_array  # (c1, c1) integrals of products of control displacements
@@ -96,6 +98,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         rotations,
         nearest_rotations(rotation_sums),
         _length_ratio(areas, triangle_areas(images, triangles)),
+        _inverse_frames(images, triangles),
         control_weights(point_map, target, source),
         sparse.diags_array(_SHAPE_RIDGE * (samples.T @ masses)),
         samples.T @ sparse.diags_array(masses) @ samples,
@@ -124,10 +127,10 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     moves = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.finest_level)
     images = point_map.images.at(slice(len(carrier.masses)))
     image_moves = images.interpolate(moves)
-    deformation = _deformation(images.positions, images.positions + image_moves, carrier.triangles)
+    deformation = _deformation(*carrier.rest, images.positions + image_moves, carrier.triangles)
     # (t, 3, 3) gradients of the displacement: F - I on the source, Q^T (F - I) Q on the target
     image_gradients = deformation - np.eye(3)
-    target_gradients = np.einsum("tba,tbc,tcd->tad", carrier.rotations, image_gradients, carrier.rotations)
+    target_gradients = carrier.rotations.transpose(0, 2, 1) @ image_gradients @ carrier.rotations
     anchor = _ANCHOR / moved_share(image_moves, carrier.masses)
     rotated_moves = carrier.length_ratio * np.einsum("sba,sb->sa", carrier.vertex_rotations, image_moves)
     # (3 t, 3), rows (t, direction)
@@ -179,16 +182,13 @@ def contacts(carrier: ShapeCarrier, moves: FloatArray) -> tuple[IndexArray, Inde
     )
     nearest = np.minimum(nearest, n_samples - 1)
     is_near = np.isfinite(distance) & (distance < _CONTACT_DISTANCE * edge_lengths[:, None])
-    is_opposed = np.einsum("sd,skd->sk", normals, normals[nearest]) < _CONTACT_COSINE
+    is_contact = is_near & (np.einsum("sd,skd->sk", normals, normals[nearest]) < _CONTACT_COSINE)
     # Neighbours across a sharp fold of the target are not in contact: they are close at rest.
-    target_distance = np.linalg.norm(
-        carrier.point_map.target.positions[nearest] - carrier.point_map.target.positions[:n_samples, None], axis=2
-    )
-    is_contact = (
-        is_near
-        & is_opposed
-        & ((target_distance > 3 * edge_lengths[:, None]) | (distance < 0.1 * edge_lengths[:, None]))
-    )
+    opposed, column = np.nonzero(is_contact)
+    targets, lengths = carrier.point_map.target.positions, edge_lengths[opposed]
+    target_distance = np.linalg.norm(targets[nearest[opposed, column]] - targets[opposed], axis=1)
+    is_touching = np.asarray(distance)[opposed, column] < 0.1 * lengths
+    is_contact[opposed, column] = (target_distance > 3 * lengths) | is_touching
     in_contact = is_contact.any(axis=1)
     first = np.flatnonzero(in_contact)
     second = nearest[first, np.argmax(is_contact[first], axis=1)]
@@ -242,19 +242,27 @@ def _rotations(
     return nearest_rotations(differential + stretch[:, None, None] * image_normals[:, :, None] * normals[:, None, :])
 
 
-def _deformation(before: FloatArray, after: FloatArray, triangles: IndexArray) -> FloatArray:
+def _frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3, 3) two edges and the unit normal of triangles, as columns."""
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    return np.stack([b - a, c - a, normal], axis=2)
+
+
+def _inverse_frames(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """(t, 3, 3) inverse frames, and whether (t,) a triangle has area; others have the unit matrix."""
+    frames = _frames(positions, triangles)
+    edge_length = np.linalg.norm(frames[:, :, :2], axis=(1, 2))
+    is_regular = np.abs(np.linalg.det(frames)) > 1e-9 * edge_length**2
+    frames[~is_regular] = np.eye(3)
+    return np.asarray(np.linalg.inv(frames)), np.asarray(is_regular)
+
+
+def _deformation(
+    inverses: FloatArray, is_regular: NDArray[np.bool_], after: FloatArray, triangles: IndexArray
+) -> FloatArray:
     """(t, 3, 3) linear maps F of triangles: edges go to edges, the unit normal to the unit normal."""
-
-    def frame(positions: FloatArray) -> FloatArray:
-        a, b, c = (positions[triangles[:, k]] for k in range(3))
-        normal = np.cross(b - a, c - a)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-        return np.stack([b - a, c - a, normal], axis=2)
-
-    rest = frame(before)
-    edge_length = np.linalg.norm(rest[:, :, :2], axis=(1, 2))
-    is_regular = np.abs(np.linalg.det(rest)) > 1e-9 * edge_length**2
-    rest[~is_regular] = np.eye(3)
-    maps = frame(after) @ np.linalg.inv(rest)
+    maps = _frames(after, triangles) @ inverses
     maps[~is_regular] = np.eye(3)
     return maps

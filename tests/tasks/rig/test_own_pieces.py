@@ -97,6 +97,20 @@ def test_a_passenger_away_from_the_body_is_named(body: ControlMesh) -> None:
     ]
 
 
+def test_an_own_part_away_from_the_body_is_named(body: ControlMesh) -> None:
+    """A second figure in the body's file would be moved by the nearest limb of the first, without a word."""
+    size = float(np.sqrt(face_areas(body).sum()))
+    places = body.positions.max(axis=0), body.positions.mean(axis=0) + size * np.array([10.0, 0.0, 0.0])
+    own = [Part(name, ball(name, place, 0.1)) for name, place in zip(("sword", "figure"), places, strict=True)]
+    rig, weights = Rig(("hips",), np.array([-1]), *2 * [np.eye(4)[None]]), np.ones((body.n_vertices, 1))
+    source = Character((Part("body", body, sparse.csr_array(weights)),), rig)
+    notes = carry_character(Character((Part("skin", replace(body, name="B.glb")), *own)), source).notes
+    assert [note for note in notes if "body sizes away" in note] == [
+        "figure is 9.9 body sizes away from skin on average, but moves with it: if it is no part of it, delete it from "
+        "B.glb"
+    ]
+
+
 def test_own_eyes_in_two_unnamed_parts_stand_for_both_eyes_of_the_character() -> None:
     """Carried to a face of other proportions, half a radius away."""
     places = np.array([0.3, 0.0, 0.5]), np.array([-0.3, 0.0, 0.5])

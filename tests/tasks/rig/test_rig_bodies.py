@@ -20,6 +20,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.gltf.character import read_character
 from cagemap.files.meshes.formats import read_mesh, read_whole, write_mesh
 from cagemap.maps.hypotheses.confidence import SURE
+from cagemap.maps.quality import unshared_warnings
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import face_centres
 from cagemap.mesh.landmarks import Landmarks
@@ -248,9 +249,19 @@ def test_landmarks_that_are_left_out_and_warnings_of_the_map_are_said(body, monk
     quality = {"warnings": [], "flipped_area": 0.2}
     doubtful = SimpleNamespace(manifest={"confidence": confidence, "quality": quality})
     assert body_warnings(doubtful) == [
-        "Do not use this map as it is: 20.00 % of the target is folded over.",
-        "the map between the bodies may be wrong: it jumps between parts that only touch, at 8 % of the target. Look "
+        "Do not use this map as it is: 20.00 % of the body is folded over.",
+        "the map between the bodies may be wrong: it jumps between parts that only touch, at 8 % of the body. Look "
         "at the result, and give --landmarks where it is wrong",
+    ]
+
+
+def test_warnings_of_rig_and_face_name_the_two_models_and_no_masks() -> None:
+    """Neither command has a source, a target or masks."""
+    quality = {"warnings": unshared_warnings(0.7, 0.8), "flipped_area": 0.0}
+    assert body_warnings(SimpleNamespace(manifest={"quality": quality}), ("head", "built-in face")) == [
+        "30.0 % of the head has no counterpart on the built-in face: it receives what the nearest places that have one "
+        "receive",
+        "20.0 % of the built-in face has no counterpart on the head",
     ]
 
 
