@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from cagemap.deform import refit
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.data import SurfaceSamples, source_to_clusters
-from cagemap.deform.fit import coarse_fit, evaluate_placement
+from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
@@ -21,7 +21,6 @@ from cagemap.deform.refit import finish_placement
 from cagemap.files.landmarks.pairs import read_landmarks
 from cagemap.maps.hypotheses import search
 from cagemap.maps.hypotheses.confidence import LOOK, SIGN_BOUNDS, TWO, turned_limb_answers, turned_share
-from cagemap.maps.hypotheses.limb_ends import refit_turned_ends
 from cagemap.maps.hypotheses.search import fit_small_graph
 from cagemap.maps.hypotheses.starts import (
     assigned_limbs,
@@ -225,25 +224,6 @@ def test_a_fit_is_led_to_tips_that_it_missed(surface, prepared, monkeypatch):
     assert np.linalg.norm(tips - places, axis=1).max() < CONFIG.min_tip_miss
     cheap = Placement(bent, 0.5 * led.cost / SearchConfig.max_equal_cost)
     assert refit_to_tips(problem, found, cheap) is cheap
-
-
-def test_the_end_of_a_limb_is_turned_back(prepared: PreparedPair) -> None:
-    """The head, rotated by half a turn about the neck, with the turn fading along it."""
-    problem, graph = Problem.of_landmarks(prepared, Landmarks.none()), prepared.energy.graph
-    (distances,) = graph.distances(find_tips(problem, SearchConfig.limb_height)[0][:1])
-    head = distances < SearchConfig.end_length
-    neck = ~head & (distances < SearchConfig.end_root * SearchConfig.end_length)
-    pivot = graph.positions[neck].mean(axis=0)
-    axis = graph.positions[head].mean(axis=0) - pivot
-    angles = np.pi * np.clip(1.5 - 0.5 * distances / SearchConfig.end_length, 0.0, 1.0)
-    turns = Rotation.from_rotvec(angles[:, None] * axis / np.linalg.norm(axis))
-    right = evaluate_placement(prepared, graph.positions)
-    turned = evaluate_placement(prepared, turns.apply(graph.positions - pivot) + pivot)
-    assert refit_turned_ends(problem, right) is right
-    found = refit_turned_ends(problem, turned)
-    before, after = (np.linalg.norm(of.positions - graph.positions, axis=1)[head].mean() for of in (turned, found))
-    assert found.cost < 0.5 * turned.cost
-    assert after < 0.8 * before  # the blocks of the head fit in several ways
 
 
 def test_the_mean_with_the_inverse_is_left_where_it_costs_more(surface: Surface, prepared: PreparedPair) -> None:

@@ -133,13 +133,6 @@ class SearchConfig(Config):
     max_tip_distance: float = 0.2  #: tips of two surfaces that a fit leaves nearer to each other correspond
     min_tip_miss: float = 0.02  #: a placement that leaves all of them nearer is not refitted
     min_landmark_distance: float = 0.05  #: a tip nearer to a landmark is not used
-    # Ends of limbs that are turned the wrong way
-    end_length: float = 0.18  #: geodesic length of an end; a hand with its wrist
-    end_root: float = 1.3  #: its root lies between this length and this factor of it
-    fewest_end_vertices: int = 20  #: fewer vertices show no shape
-    end_samples: int = 100  #: vertices of an end that are aligned
-    end_rotations: int = 12  #: rotations about the axis from which it is aligned
-    end_steps: int = 8  #: steps of the alignment
     same_kind_cost: float = 1e-4  #: bodies whose fit costs less are of one kind; no later stage improves them
     max_one_way_cost: float = 4e-4  #: from this cost on, without landmarks, the reverse problem is searched too
 

@@ -26,7 +26,6 @@ from cagemap.deform.multi_start import (
 from cagemap.deform.placement import Placement, distinct_placements, mean_distance, rank_placements, sort_by_cost
 from cagemap.deform.problem import Clusters, PreparedPair, Problem, Tips, fitted_surface
 from cagemap.deform.refit import finish_placement, inverse_positions
-from cagemap.maps.hypotheses.limb_ends import refit_turned_ends
 from cagemap.maps.hypotheses.starts import (
     STARTS_PER_ROTATION,
     assigned_limbs,
@@ -77,7 +76,7 @@ def search_both_ways(
                 placements = [inverse, *placements]
     if placements[0].cost <= config.same_kind_cost:
         return placements
-    return [finish_placement(problem, refit_turned_ends(problem, placements[0])), *placements[1:]]
+    return [finish_placement(problem, placements[0]), *placements[1:]]
 
 
 def inverse_placement(problem: Problem, reverse: Placement) -> Placement:
@@ -150,7 +149,7 @@ def search_placements(
         ranked = rank_placements(refit_distinct_to_tips(problem, ranked), floor)
     elif not has_given_start:
         return ranked
-    return [finish_placement(problem, refit_turned_ends(problem, ranked[0])), *ranked[1:]] if finish else ranked
+    return [finish_placement(problem, ranked[0]), *ranked[1:]] if finish else ranked
 
 
 def fit_small_graph(
