@@ -1,6 +1,7 @@
 """The target in the source's pose: as rigid as it can be near a fit, and fitted again from there."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -183,6 +184,16 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
     assert before > 0.004  # the minimum beside the truth
     assert after < 0.75 * before
     assert stages == [bent.elastic.stiff_coarse]  # the stage of bodies that stand alike
+
+
+def test_the_fine_stage_starts_from_the_placement_where_only_clusters_moved_it(bent, monkeypatch):
+    placed, rng = bent.source.finest_triangles.positions, np.random.default_rng(3)
+    slide, detail = np.array([0.02, 0.0, 0.0]), 0.05 * rng.standard_normal((len(bent.mesh.positions), 3))
+    coarse = SimpleNamespace(extrapolate_to=lambda graph, config: placed + slide + detail)
+    monkeypatch.setattr(refit, "coarse_fit", lambda problem, start, clusters: coarse)
+    monkeypatch.setattr(refit, "fine_fit", lambda problem, start: start)
+    found = fit_from_shape(problem_of(bent), rigid_pose(bent.energy.graph, placed), placed)
+    assert np.abs(found - placed - slide).mean() < 0.2 * np.abs(detail).mean()
 
 
 @pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])
