@@ -141,6 +141,6 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
     if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
         raise ParameterError(f"held: expected vertices 0 to {point_map.target.n - 1}, got {held.min()} to {held.max()}")
     weight, target = config.projection_normal_weights[0], point_map.target
-    images = return_strays(point_map.images, target.triangles, held, min_cosine=config.projection.min_cosine)
+    images = return_strays(point_map.images, target.triangles, held)
     images, flipped = relax_folds(images, target.triangles, held, normal_weight=weight, config=config.projection)
     return PointMap(target, flatten_folded_parts(images, flipped, target, held, config.projection))
