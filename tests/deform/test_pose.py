@@ -13,6 +13,7 @@ from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.fit import coarse_fit, fine_fit
 from cagemap.deform.graph import mesh_graph
+from cagemap.deform.limbs import tip_vertices
 from cagemap.deform.multi_start import fit_from_two_starts
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
@@ -186,14 +187,20 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
     assert stages == [bent.elastic.stiff_coarse]  # the stage of bodies that stand alike
 
 
-def test_the_fine_stage_starts_from_the_placement_where_only_clusters_moved_it(bent, monkeypatch):
-    placed, rng = bent.source.finest_triangles.positions, np.random.default_rng(3)
-    slide, detail = np.array([0.02, 0.0, 0.0]), 0.05 * rng.standard_normal((len(bent.mesh.positions), 3))
-    coarse = SimpleNamespace(extrapolate_to=lambda graph, config: placed + slide + detail)
-    monkeypatch.setattr(refit, "coarse_fit", lambda problem, start, clusters: coarse)
+def test_ends_of_limbs_keep_their_placement_and_the_rest_is_that_of_the_coarse_stage(bent, monkeypatch):
+    graph, placed = bent.energy.graph, bent.source.finest_triangles.positions
+    slid = placed + [0.1, 0.0, 0.0]
+    monkeypatch.setattr(refit, "coarse_fit", lambda *given: SimpleNamespace(extrapolate_to=lambda *to: slid))
     monkeypatch.setattr(refit, "fine_fit", lambda problem, start: start)
-    found = fit_from_shape(problem_of(bent), rigid_pose(bent.energy.graph, placed), placed)
-    assert np.abs(found - placed - slide).mean() < 0.2 * np.abs(detail).mean()
+    start = fit_from_shape(problem_of(bent), placed, placed)
+    tips = tip_vertices(graph, SearchConfig.limb_height)
+    from_tip = graph.distances(tips).min(axis=0)
+    hand, rest = from_tip < RefitConfig.end_length, from_tip > (1.0 + RefitConfig.end_fade) * RefitConfig.end_length
+    assert len(tips) > 4
+    assert hand.sum() > 4 * len(tips)
+    assert rest.any()
+    np.testing.assert_allclose(start[hand], placed[hand])
+    np.testing.assert_allclose(start[rest], slid[rest])
 
 
 @pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])

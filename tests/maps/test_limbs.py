@@ -15,6 +15,7 @@ from cagemap.deform.config import SearchConfig
 from cagemap.deform.data import SurfaceSamples, source_to_clusters
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
+from cagemap.deform.limbs import mean_distances, prominences, tip_vertices
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.deform.refit import finish_placement
@@ -26,12 +27,9 @@ from cagemap.maps.hypotheses.starts import (
     assigned_limbs,
     find_tips,
     limb_measures,
-    mean_distances,
     pair_tips,
-    prominences,
     rank_assignments,
     refit_to_tips,
-    tip_vertices,
 )
 from cagemap.maps.masks import Masks
 from cagemap.maps.projection.project import map_of_places

@@ -19,6 +19,7 @@ from cagemap.deform.config import RefitConfig
 from cagemap.deform.energy import ElasticEnergy, VertexTerms, deformed_normals, minimise, rotations
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.limbs import with_ends
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Clusters, Problem
 from cagemap.maps.masks import Masks
@@ -74,16 +75,15 @@ def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatA
 def fit_from_shape(problem: Problem, shape: FloatArray, placed: FloatArray) -> FloatArray:
     """(n, 3) positions ``placed`` (n, 3) after the coarse and fine stages, with positions ``shape`` as rest shape.
 
-    The coarse stage starts from the shape. The fine stage starts from the given positions, moved by smoothed shifts to
-    the coarse stage's positions: these slide limbs, but clusters do not show fingers.
+    The coarse stage starts from the shape. Clusters do not show fingers: in the start of the fine stage the ends of
+    limbs keep their given positions.
     """
     prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
     energy, config = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing), prepared.elastic
     alike = replace(problem, prepared=replace(prepared, energy=energy))
     clusters = alike.clusters_with(stage=config.stiff_coarse)
     coarse = coarse_fit(alike, shape[clusters.vertices], clusters).extrapolate_to(energy.graph, config.graph)
-    shifts = smooth_shifts(prepared.energy.graph, coarse - placed, np.ones(len(placed)), config.refit.slide_smoothing)
-    return fine_fit(alike, placed + shifts)
+    return fine_fit(alike, with_ends(prepared.energy.graph, coarse, placed, config.search, config.refit))
 
 
 def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
