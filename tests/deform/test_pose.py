@@ -189,7 +189,7 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
 
 def test_ends_of_limbs_keep_their_placement_and_the_rest_is_that_of_the_coarse_stage(bent, monkeypatch):
     graph, placed = bent.energy.graph, bent.source.finest_triangles.positions
-    slid = placed + [0.1, 0.0, 0.0]
+    slid = placed + np.array([0.1, 0.0, 0.0])
     monkeypatch.setattr(refit, "coarse_fit", lambda *given: SimpleNamespace(extrapolate_to=lambda *to: slid))
     monkeypatch.setattr(refit, "fine_fit", lambda problem, start: start)
     start = fit_from_shape(problem_of(bent), placed, placed)
