@@ -329,7 +329,7 @@ def match_next(
     last = before.point_map.images.at(prepared.vertices).positions * (source.scale / before.source.scale)
     with one_blas_thread(), _timed(timings, "map"):
         progress("elastic alignment")
-        places = fit_from_shape(problem, last, last)
+        places = fit_from_shape(problem, last)
         progress("closest points")
         point_map = map_of_places(problem, places)
         shared = shared_area(prepared, places)

@@ -201,6 +201,7 @@ def test_ends_of_limbs_keep_their_placement_and_the_rest_is_that_of_the_coarse_s
     assert rest.any()
     np.testing.assert_allclose(start[hand], placed[hand])
     np.testing.assert_allclose(start[rest], slid[rest])
+    np.testing.assert_allclose(fit_from_shape(problem_of(bent), placed), slid)  # of the next frame, which has moved
 
 
 @pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])

@@ -72,18 +72,20 @@ def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatA
     return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
 
 
-def fit_from_shape(problem: Problem, shape: FloatArray, placed: FloatArray) -> FloatArray:
-    """(n, 3) positions ``placed`` (n, 3) after the coarse and fine stages, with positions ``shape`` as rest shape.
+def fit_from_shape(problem: Problem, shape: FloatArray, placed: FloatArray | None = None) -> FloatArray:
+    """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start.
 
-    The coarse stage starts from the shape. Clusters do not show fingers: in the start of the fine stage the ends of
-    limbs keep their given positions.
+    Clusters do not show fingers: in the start of the fine stage the ends of limbs have the positions of a placement of
+    the same source, ``placed`` (n, 3), if there is one.
     """
     prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
     energy, config = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing), prepared.elastic
     alike = replace(problem, prepared=replace(prepared, energy=energy))
     clusters = alike.clusters_with(stage=config.stiff_coarse)
     coarse = coarse_fit(alike, shape[clusters.vertices], clusters).extrapolate_to(energy.graph, config.graph)
-    return fine_fit(alike, with_ends(prepared.energy.graph, coarse, placed, config.search, config.refit))
+    if placed is not None:
+        coarse = with_ends(prepared.energy.graph, coarse, placed, config.search, config.refit)
+    return fine_fit(alike, coarse)
 
 
 def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
