@@ -12,8 +12,7 @@ from cagemap.deform import multi_start
 from cagemap.deform.config import ElasticConfig, SearchConfig, StartConfig
 from cagemap.deform.fit import fine_fit
 from cagemap.deform.graph import ElasticGraph, mesh_graph
-from cagemap.deform.multi_start import best_parts
-from cagemap.deform.placement import Placement
+from cagemap.deform.placement import Placement, best_parts
 from cagemap.deform.problem import PreparedPair, Problem
 from cagemap.deform.refit import inverse_consistent, inverse_positions, smooth_shifts
 from cagemap.maps.hypotheses.search import inverse_placement

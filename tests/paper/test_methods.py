@@ -47,7 +47,7 @@ def test_the_equations_of_the_blocks_carry_the_paper_method(shared_data):
     judged = Judged(HUMANS["anny10pc__anny5pc"], BasisConfig(schedule=(40, 110)), 30)
     solved = judged.errors(*paper_map(judged.pair))[-1]
     with patch.object(method, "extend_functional_map", extended(noise)):
-        assert judged.errors(*paper_map(judged.pair))[-1] > 1.2 * solved
+        assert judged.errors(*paper_map(judged.pair))[-1] > 1.15 * solved  # 1.198 to 1.21 by processor
 
 
 @pytest.mark.slow

@@ -10,17 +10,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cagemap.deform.config import SearchConfig
 from cagemap.deform.energy import deformed_normals
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, landmark_start
-from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.placement import Placement, distinct_placements, mean_distance, sort_by_cost
+from cagemap.deform.placement import Placement, best_parts, distinct_placements, mean_distance, sort_by_cost
 from cagemap.deform.problem import Clusters, Problem
 from cagemap.deform.refit import largest_limb_rotation
-from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, in_threads
 from cagemap.spectral.zoomout import (
     ZoomOutSchedule,
@@ -169,36 +166,3 @@ def refine_placements(problem: Problem, coarse: Sequence[Placement]) -> list[Pla
     return sort_by_cost(
         in_threads(lambda start: evaluate_placement(problem.prepared, fine_fit(problem, start)), coarse)
     )
-
-
-def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig) -> FloatArray | None:
-    """(n, 3) the cheapest placement, with cheaper parts of the others in it; None if no part is cheaper.
-
-    A part is a connected piece of the surface where two placements differ, such as a limb.
-    """
-    positions, costs, changed = ranked[0].positions, ranked[0].costs, False
-    for other in ranked[1:]:
-        apart = np.linalg.norm(positions - other.positions, axis=1) > config.part_distance
-        part, share = _parts(graph, apart, config.part_rings)
-        inside, count = part >= 0, int(part.max()) + 1
-        gains = np.bincount(part[inside], (costs - other.costs)[inside], count)
-        areas = np.bincount(part[apart], graph.areas[apart], count)
-        better = np.append((gains > 0) & (areas >= config.part_area), False)
-        share = share * better[part]
-        positions = positions + share[:, None] * (other.positions - positions)
-        costs, changed = np.where(share > 0, other.costs, costs), changed or bool(better.any())
-    return positions if changed else None
-
-
-def _parts(graph: ElasticGraph, apart: NDArray[np.bool_], rings: int) -> tuple[IndexArray, FloatArray]:
-    """Part (n,) of each vertex, -1 for none, and its weight (n,), which fades over rings around the part."""
-    both = apart[graph.heads] & apart[graph.tails]
-    _, numbers = np.unique(label_components(graph.heads[both], graph.tails[both], graph.n)[apart], return_inverse=True)
-    part, share = np.full(graph.n, -1), apart.astype(np.float64)
-    part[apart] = numbers
-    for ring in range(rings):
-        reached = np.full(graph.n, -1)
-        np.maximum.at(reached, graph.heads, part[graph.tails])
-        new = (part < 0) & (reached >= 0)
-        part[new], share[new] = reached[new], 1.0 - (ring + 1) / (rings + 1)
-    return part, share

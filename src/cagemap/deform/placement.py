@@ -6,10 +6,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cagemap.deform.config import GraphConfig
+from cagemap.deform.config import GraphConfig, SearchConfig
 from cagemap.deform.graph import ElasticGraph, extrapolate
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, label_components
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,3 +74,39 @@ def distinct_placements(ranked: Sequence[Placement], areas: FloatArray, least: f
 def mean_distance(first: FloatArray, second: FloatArray, areas: FloatArray) -> float:
     """Mean distance of two placements (n, 3) of the same vertices with areas (n,) of sum 1."""
     return float(areas @ np.linalg.norm(first - second, axis=1))
+
+
+def best_parts(
+    graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig, largest: float = 1.0
+) -> FloatArray | None:
+    """(n, 3) the cheapest placement, with cheaper parts of the others in it; None if no part is cheaper.
+
+    A part is a connected piece of the surface where two placements differ, such as a limb, with at most the ``largest``
+    share of the area.
+    """
+    positions, costs, changed = ranked[0].positions, ranked[0].costs, False
+    for other in ranked[1:]:
+        apart = np.linalg.norm(positions - other.positions, axis=1) > config.part_distance
+        part, share = _parts(graph, apart, config.part_rings)
+        inside, count = part >= 0, int(part.max()) + 1
+        gains = np.bincount(part[inside], (costs - other.costs)[inside], count)
+        areas = np.bincount(part[apart], graph.areas[apart], count)
+        better = np.append((gains > 0) & (areas >= config.part_area) & (areas <= largest), False)
+        share = share * better[part]
+        positions = positions + share[:, None] * (other.positions - positions)
+        costs, changed = np.where(share > 0, other.costs, costs), changed or bool(better.any())
+    return positions if changed else None
+
+
+def _parts(graph: ElasticGraph, apart: NDArray[np.bool_], rings: int) -> tuple[IndexArray, FloatArray]:
+    """Part (n,) of each vertex, -1 for none, and its weight (n,), which fades over rings around the part."""
+    both = apart[graph.heads] & apart[graph.tails]
+    _, numbers = np.unique(label_components(graph.heads[both], graph.tails[both], graph.n)[apart], return_inverse=True)
+    part, share = np.full(graph.n, -1), apart.astype(np.float64)
+    part[apart] = numbers
+    for ring in range(rings):
+        reached = np.full(graph.n, -1)
+        np.maximum.at(reached, graph.heads, part[graph.tails])
+        new = (part < 0) & (reached >= 0)
+        part[new], share[new] = reached[new], 1.0 - (ring + 1) / (rings + 1)
+    return part, share

@@ -19,8 +19,7 @@ from cagemap.deform.config import RefitConfig
 from cagemap.deform.energy import ElasticEnergy, VertexTerms, deformed_normals, minimise, rotations
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.limbs import with_ends
-from cagemap.deform.placement import Placement
+from cagemap.deform.placement import Placement, best_parts
 from cagemap.deform.problem import Clusters, Problem
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
@@ -75,17 +74,20 @@ def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatA
 def fit_from_shape(problem: Problem, shape: FloatArray, placed: FloatArray | None = None) -> FloatArray:
     """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start.
 
-    Clusters do not show fingers: in the start of the fine stage the ends of limbs have the positions of a placement of
-    the same source, ``placed`` (n, 3), if there is one.
+    Clusters do not show fingers. So parts of ``placed`` (n, 3), a placement on the same source, that cost less than the
+    fit from the shape take its place, and the fine stage is run again.
     """
     prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
     energy, config = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing), prepared.elastic
     alike = replace(problem, prepared=replace(prepared, energy=energy))
     clusters = alike.clusters_with(stage=config.stiff_coarse)
-    coarse = coarse_fit(alike, shape[clusters.vertices], clusters).extrapolate_to(energy.graph, config.graph)
-    if placed is not None:
-        coarse = with_ends(prepared.energy.graph, coarse, placed, config.search, config.refit)
-    return fine_fit(alike, coarse)
+    coarse = coarse_fit(alike, shape[clusters.vertices], clusters)
+    fitted = fine_fit(alike, coarse)
+    if placed is None:
+        return fitted
+    both = [evaluate_placement(alike.prepared, positions) for positions in (fitted, placed)]
+    mixed = best_parts(energy.graph, both, config.search, config.refit.largest_part)
+    return fitted if mixed is None else fine_fit(alike, mixed)
 
 
 def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:

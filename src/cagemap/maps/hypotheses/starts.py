@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from cagemap.deform.config import SearchConfig
 from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.limbs import tip_vertices
 from cagemap.deform.placement import Placement, distinct_placements
 from cagemap.deform.problem import PreparedPair, Problem, Tips
 from cagemap.deform.refit import common_rotation
@@ -134,6 +133,54 @@ def find_tips(problem: Problem, least: float | None = None, units: tuple[float, 
         kept = (weights[vertices] > 0) & (away > config.min_landmark_distance) & ~mesh.boundary_vertices[vertices]
         tips.append(vertices[kept])
     return tips[0], tips[1]
+
+
+def tip_vertices(graph: ElasticGraph, least: float = SearchConfig.tip_height) -> IndexArray:
+    """(e,) local maxima of the mean geodesic distance, most prominent first.
+
+    Mean geodesic distance: Hilaga et al. 2001. Prominence: Edelsbrunner et al. 2002, see `prominences`.
+    """
+    heights = mean_distances(graph)
+    peaks, above = prominences(heights, graph.heads, graph.tails)
+    kept = above >= least
+    return peaks[kept][np.argsort(-above[kept], kind="stable")]
+
+
+def mean_distances(graph: ElasticGraph) -> FloatArray:
+    """(n,) mean geodesic distance of every vertex to its connected piece; 0 on small pieces."""
+    distances = graph.station_distances
+    reached = np.isfinite(distances)
+    large = reached.any(axis=0)
+    shares = np.bincount(distances.argmin(axis=0), graph.areas * large, len(distances))
+    return np.asarray((shares @ np.where(reached, distances, 0.0)) / np.where(large, shares @ reached, 1.0))
+
+
+def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tuple[IndexArray, FloatArray]:
+    """Local maxima (q,) of heights (n,), and their persistence: the height above the pass to a higher maximum."""
+    order = np.argsort(heights, kind="stable")
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    best = rank.copy()
+    np.maximum.at(best, heads, rank[tails])
+    up = order[best]
+    while not np.array_equal(up[up], up):  # every vertex climbs to its peak
+        up = up[up]
+    peaks, basin = np.unique(up, return_inverse=True)
+    across = basin[heads] < basin[tails]
+    basins, passes = np.column_stack([basin[heads], basin[tails]])[across], np.minimum(rank[heads], rank[tails])[across]
+    descending = np.argsort(-passes, kind="stable")
+    _, highest = np.unique(basins[descending], axis=0, return_index=True)  # the highest pass between any two basins
+    above, joined = np.full(len(peaks), np.inf), np.arange(len(peaks))
+    for edge in descending[np.sort(highest)].tolist():
+        a, b = joined[basins[edge]].tolist()
+        if a != b:
+            lower, higher = (a, b) if rank[peaks[a]] < rank[peaks[b]] else (b, a)
+            above[lower] = heights[peaks[lower]] - heights[order[passes[edge]]]
+            joined[joined == lower] = higher
+    lowest, highest_ones = np.full(len(peaks), np.inf), np.isinf(above)
+    np.minimum.at(lowest, joined[basin], heights)
+    above[highest_ones] = (heights[peaks] - lowest)[highest_ones]
+    return peaks, above
 
 
 def refit_distinct_to_tips(problem: Problem, ranked: Sequence[Placement]) -> list[Placement]:
