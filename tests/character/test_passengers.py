@@ -23,6 +23,7 @@ from cagemap.character.passengers import (
 from cagemap.errors import ParameterError
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.result.folder import write_result
+from cagemap.files.result.manifest import stated_inputs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import cage_triangles, face_centres
@@ -377,6 +378,18 @@ def test_the_command_writes_the_mesh_with_its_uvs_and_materials(tmp_path: Path, 
     np.testing.assert_array_equal(carried.uvs, given.uvs)
     assert carried.material_names == given.material_names
     np.testing.assert_array_equal(carried.face_materials, given.face_materials)
+
+
+def test_the_matched_part_of_its_own_file_is_no_passenger(tmp_path: Path, run: Run) -> None:
+    body, hat = cube(), moved(cube(), (0.0, 0.0, 1.1))
+    whole = replace(join_meshes([body, hat]), face_objects=np.repeat([0, 1], 6), object_names=("body", "hat"))
+    write_mesh(tmp_path / "figure.obj", whole)
+    source = extract_faces(read_mesh(tmp_path / "figure.obj"), np.arange(6))
+    result = identity_result(controls=(body.with_positions(2.0 * body.positions), source))
+    inputs = stated_inputs({"source": tmp_path / "figure.obj"}, tmp_path / "R")
+    write_result(tmp_path / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
+    run.done("transfer R --passenger figure.obj --as rigid -o on.obj")
+    np.testing.assert_allclose(read_mesh(tmp_path / "on.obj").positions, 2.0 * hat.positions, rtol=0, atol=1e-6)
 
 
 def test_the_command_refuses_idle_options_and_warns_of_a_passenger_elsewhere(tmp_path: Path, run: Run) -> None:

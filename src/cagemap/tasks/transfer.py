@@ -40,6 +40,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import place_of_rows
 from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.parts import extract_faces
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.bake_tiles import bake_inputs
 from cagemap.tasks.carry_arrays import carry_values
@@ -247,9 +248,12 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
     mesh = read_mesh(request.passenger)
+    source, target = (input_file(request.result, result.manifest, side) for side in ("source", "target"))
+    if source is not None and source.samefile(request.passenger):  # what was matched is no passenger
+        others = np.flatnonzero(~np.isin(mesh.file_numbers[1], result.source.control.file_numbers[1]))
+        mesh = extract_faces(mesh, others) if len(others) else mesh
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
-    target = input_file(request.result, result.manifest, "target")
     of_target, of_source = _to_passenger(request, result)
     worn = transform_mesh(mesh, np.asarray(np.linalg.inv(of_source), dtype=np.float64))
     carried = carry_passenger(result, worn, kind=request.kind)
