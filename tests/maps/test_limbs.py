@@ -372,8 +372,6 @@ def test_shins_of_a_crouching_body_stay_where_they_belong(shared_data: Path, mon
         return inverse_consistent(problem, positions)
 
     monkeypatch.setattr(refit, "inverse_consistent", averaged)
-    # Feet of a placement whose shins have slid this far cost less than the refitted ones, and would hold them (2.8).
-    monkeypatch.setattr(refit, "best_parts", lambda *given: None)
     placed = search.fit_from_two_starts(problem, problem.coarse_clusters)[0][0]
     finished = refit.finish_placement(problem, placed).map_positions
     slid, half, whole = (100 * figures(problem, at, *pair).mean for at in (placed.positions, posed[0], finished))

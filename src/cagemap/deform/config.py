@@ -147,7 +147,7 @@ class RefitConfig(Config):
     min_stiffness: float = 0.02  #: least weight of an edge at a joint, as a share of its own
     max_folded_frame: float = 0.005  #: `match_next` discards a map that folds a larger share of the area
     smoothing: float = 0.02  #: length over which the gradient of rotations and the shifts to the inverse are smoothed
-    largest_part: float = 0.03  #: share of the area of a part that keeps its placement; a hand, but no shin
+    start_smoothing: float = 0.1  #: length over which the coarse stage's shifts of a placement are smoothed
     gap: float = 0.01  #: distance from the inverse's mesh at which a vertex has a quarter of its weight
     normal_weight: float = 0.02  #: length of a unit normal in the search on that mesh
 

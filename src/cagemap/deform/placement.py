@@ -76,13 +76,10 @@ def mean_distance(first: FloatArray, second: FloatArray, areas: FloatArray) -> f
     return float(areas @ np.linalg.norm(first - second, axis=1))
 
 
-def best_parts(
-    graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig, largest: float = 1.0
-) -> FloatArray | None:
+def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig) -> FloatArray | None:
     """(n, 3) the cheapest placement, with cheaper parts of the others in it; None if no part is cheaper.
 
-    A part is a connected piece of the surface where two placements differ, such as a limb, with at most the ``largest``
-    share of the area.
+    A part is a connected piece of the surface where two placements differ, such as a limb.
     """
     positions, costs, changed = ranked[0].positions, ranked[0].costs, False
     for other in ranked[1:]:
@@ -91,7 +88,7 @@ def best_parts(
         inside, count = part >= 0, int(part.max()) + 1
         gains = np.bincount(part[inside], (costs - other.costs)[inside], count)
         areas = np.bincount(part[apart], graph.areas[apart], count)
-        better = np.append((gains > 0) & (areas >= config.part_area) & (areas <= largest), False)
+        better = np.append((gains > 0) & (areas >= config.part_area), False)
         share = share * better[part]
         positions = positions + share[:, None] * (other.positions - positions)
         costs, changed = np.where(share > 0, other.costs, costs), changed or bool(better.any())

@@ -17,9 +17,9 @@ import numpy as np
 
 from cagemap.deform.config import RefitConfig
 from cagemap.deform.energy import ElasticEnergy, VertexTerms, deformed_normals, minimise, rotations
-from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, fine_placements, with_best_parts
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.placement import Placement, best_parts
+from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Clusters, Problem
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
@@ -74,20 +74,20 @@ def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatA
 def fit_from_shape(problem: Problem, shape: FloatArray, placed: FloatArray | None = None) -> FloatArray:
     """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start.
 
-    Clusters do not show fingers. So parts of ``placed`` (n, 3), a placement on the same source, that cost less than the
-    fit from the shape take its place, and the fine stage is run again.
+    The 1500 clusters do not show fingers. So the fine stage has a second start if there is a placement on the same
+    source, ``placed`` (n, 3): it is moved by its shifts to the coarse placement, which are smoothed, so that it keeps
+    its fingers. The cheaper parts of both count.
     """
     prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
     energy, config = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing), prepared.elastic
     alike = replace(problem, prepared=replace(prepared, energy=energy))
     clusters = alike.clusters_with(stage=config.stiff_coarse)
-    coarse = coarse_fit(alike, shape[clusters.vertices], clusters)
-    fitted = fine_fit(alike, coarse)
+    coarse = coarse_fit(alike, shape[clusters.vertices], clusters).extrapolate_to(energy.graph, config.graph)
     if placed is None:
-        return fitted
-    both = [evaluate_placement(alike.prepared, positions) for positions in (fitted, placed)]
-    mixed = best_parts(energy.graph, both, config.search, config.refit.largest_part)
-    return fitted if mixed is None else fine_fit(alike, mixed)
+        return fine_fit(alike, coarse)
+    graph = prepared.energy.graph
+    moved = placed + smooth_shifts(graph, coarse - placed, np.ones(graph.n), config.refit.start_smoothing)
+    return with_best_parts(alike, fine_placements(alike, [coarse, moved]))[0].positions
 
 
 def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
