@@ -8,7 +8,7 @@ import pytest
 from examples.shapes import creature
 from tests.fixtures.vertex_pairs import points_at
 
-from cagemap.deform import fit, multi_start
+from cagemap.deform import multi_start
 from cagemap.deform.config import ElasticConfig, SearchConfig, StartConfig
 from cagemap.deform.fit import fine_fit
 from cagemap.deform.graph import ElasticGraph, mesh_graph
@@ -209,8 +209,8 @@ def test_refined_placements_count_and_the_best_parts_of_all_come_first(graph, mo
     def with_cost(prepared: object, positions: np.ndarray) -> Placement:
         return placed(positions, graph.areas * ((positions - graph.positions) ** 2).sum(axis=1))
 
-    monkeypatch.setattr(fit, "fine_fit", lambda problem, start: getattr(start, "positions", start))
-    monkeypatch.setattr(fit, "evaluate_placement", with_cost)
+    monkeypatch.setattr(multi_start, "fine_fit", lambda problem, start: getattr(start, "positions", start))
+    monkeypatch.setattr(multi_start, "evaluate_placement", with_cost)
     prepared = SimpleNamespace(energy=SimpleNamespace(graph=graph), elastic=ElasticConfig())
     problem: Any = SimpleNamespace(prepared=prepared)
     coarse, hopeless = Placement(front, 1.0, graph=graph), Placement(behind, 9.0, graph=graph)

@@ -8,7 +8,7 @@ import pytest
 from examples.shapes import creature
 from tests.fixtures.vertex_pairs import pair_at
 
-from cagemap.deform import fit, multi_start, refit
+from cagemap.deform import multi_start, refit
 from cagemap.deform.config import RefitConfig, SearchConfig, StartConfig
 from cagemap.deform.energy import ElasticEnergy, bounded_maps
 from cagemap.deform.fit import coarse_fit, fine_fit
@@ -98,7 +98,7 @@ def test_one_limb_is_posed_where_the_body_stands_as_it_did(energy: ElasticEnergy
 def test_placements_that_agree_are_doubted_where_a_limb_is_posed(bent, monkeypatch, angle):
     problem = problem_of(bent)
     at_rest = Placement(problem.coarse_clusters.energy.graph.positions, 1.0)
-    monkeypatch.setattr(multi_start, "fine_placements", lambda problem, coarse: list(coarse))
+    monkeypatch.setattr(multi_start, "refine_placements", lambda problem, coarse: list(coarse))
     starts, asked = list[FloatArray](), list[object]()
 
     def coarse_fit(problem: Problem, start: FloatArray, clusters: Clusters) -> Placement:
@@ -196,7 +196,6 @@ def test_the_second_start_is_the_placement_moved_by_the_smoothed_shifts_of_the_c
         starts.append(start)
         return start
 
-    monkeypatch.setattr(fit, "fine_fit", fine)
     monkeypatch.setattr(refit, "fine_fit", fine)
     assert fit_from_shape(problem_of(bent), placed) is coarse  # of the next frame, whose hands have moved
     fit_from_shape(problem_of(bent), placed, placed)

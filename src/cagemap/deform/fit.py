@@ -7,7 +7,6 @@ and curves are constraints.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import Future
 
 import numpy as np
@@ -24,12 +23,11 @@ from cagemap.deform.data import (
 )
 from cagemap.deform.energy import Differentials, Terms, VertexTerms, deformed_normals, minimise
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.placement import Placement, best_parts, sort_by_cost
+from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Clusters, PreparedPair, Problem
 from cagemap.errors import ParameterError
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.threads import in_threads
 from cagemap.spectral.surface import Surface
 from cagemap.surface.alignment import fit_similarity
 from cagemap.surface.closest_points import build_tree, closest_points
@@ -80,20 +78,6 @@ def fine_fit(problem: Problem, start: Placement | FloatArray) -> FloatArray:
     first = start.extrapolate_to(energy.graph, config.graph) if isinstance(start, Placement) else start
     terms = mesh_terms(prepared, problem.constraints)
     return minimise(energy.graph, energy.differentials, terms, first, config.fine)
-
-
-def fine_placements(problem: Problem, starts: Sequence[Placement | FloatArray]) -> list[Placement]:
-    """Fine placements from starts, cheapest first."""
-    return sort_by_cost(
-        in_threads(lambda start: evaluate_placement(problem.prepared, fine_fit(problem, start)), starts)
-    )
-
-
-def with_best_parts(problem: Problem, fine: Sequence[Placement]) -> list[Placement]:
-    """Fine placements, cheapest first, and the one from `best_parts` of all."""
-    ranked = sort_by_cost(fine)
-    mixed = best_parts(problem.prepared.energy.graph, ranked, problem.prepared.elastic.search)
-    return ranked if mixed is None else sort_by_cost([*ranked, *fine_placements(problem, [mixed])])
 
 
 def mesh_terms(prepared: PreparedPair, constraints: PlacementConstraints) -> Terms:

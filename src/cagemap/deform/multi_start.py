@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.deform.energy import deformed_normals
-from cagemap.deform.fit import coarse_fit, fine_placements, landmark_start, with_best_parts
-from cagemap.deform.placement import Placement, distinct_placements, mean_distance, sort_by_cost
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, landmark_start
+from cagemap.deform.placement import Placement, best_parts, distinct_placements, mean_distance, sort_by_cost
 from cagemap.deform.problem import Clusters, Problem
 from cagemap.deform.refit import largest_limb_rotation
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -54,12 +54,12 @@ def fit_from_two_starts(
     stiff = clusters.with_stage(elastic.stiff_coarse)
     if start is not None and len(clusters.constrained_vertices[0]) < FEWEST_LANDMARKS:
         both_stages = in_threads(lambda chosen: coarse_fit(problem, start, chosen), (clusters, stiff))
-        return fine_placements(problem, both_stages), []
+        return refine_placements(problem, both_stages), []
     coarse, first = stiff_fits or fit_both_starts(problem, stiff, start)
     search = elastic.search
     # Costs of different coarse placements are too alike to choose by: a rotated elbow shows in the fine stage alone.
     distinct = distinct_placements(sort_by_cost(coarse), areas, search.min_coarse_distance)
-    fine = fine_placements(problem, distinct)
+    fine = refine_placements(problem, distinct)
     rotation = largest_limb_rotation(
         problem.prepared.energy, problem.prepared.level_masks, fine[0].positions, search.limb_area
     )
@@ -148,9 +148,21 @@ def spectral_starts(problem: Problem, clusters: Clusters) -> Callable[[Placement
 
 def refine_cheapest(problem: Problem, coarse: Sequence[Placement], fine: Sequence[Placement] = ()) -> list[Placement]:
     """Fine placements, cheapest first: from the cheapest distinct coarse ones, given ones, and `best_parts` of all."""
-    config, ranked = problem.prepared.elastic.search, sort_by_cost(coarse)
+    prepared, config = problem.prepared, problem.prepared.elastic.search
+    ranked = sort_by_cost(coarse)
     graph = ranked[0].graph
     assert graph is not None
     cheap = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
     kept = distinct_placements(cheap, graph.areas, config.min_coarse_distance)[: config.max_refined]
-    return with_best_parts(problem, [*fine_placements(problem, kept), *fine])
+    fine = sort_by_cost([*refine_placements(problem, kept), *fine])
+    mixed = best_parts(prepared.energy.graph, fine, config)
+    if mixed is None:
+        return fine
+    return sort_by_cost([*fine, evaluate_placement(prepared, fine_fit(problem, mixed))])
+
+
+def refine_placements(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:
+    """Fine placements from coarse ones, cheapest first."""
+    return sort_by_cost(
+        in_threads(lambda start: evaluate_placement(problem.prepared, fine_fit(problem, start)), coarse)
+    )

@@ -76,17 +76,20 @@ def mean_distance(first: FloatArray, second: FloatArray, areas: FloatArray) -> f
     return float(areas @ np.linalg.norm(first - second, axis=1))
 
 
-def best_parts(graph: ElasticGraph, ranked: Sequence[Placement], config: SearchConfig) -> FloatArray | None:
-    """(n, 3) the cheapest placement, with cheaper parts of the others in it; None if no part is cheaper.
+def best_parts(
+    graph: ElasticGraph, placements: Sequence[Placement], config: SearchConfig, factor: float = 1.0
+) -> FloatArray | None:
+    """(n, 3) the first placement, with parts of the others in it; None if there are none.
 
-    A part is a connected piece of the surface where two placements differ, such as a limb.
+    A part is a connected piece of the surface where two placements differ, such as a limb. It is taken if it costs less
+    there, even times a factor.
     """
-    positions, costs, changed = ranked[0].positions, ranked[0].costs, False
-    for other in ranked[1:]:
+    positions, costs, changed = placements[0].positions, placements[0].costs, False
+    for other in placements[1:]:
         apart = np.linalg.norm(positions - other.positions, axis=1) > config.part_distance
         part, share = _parts(graph, apart, config.part_rings)
         inside, count = part >= 0, int(part.max()) + 1
-        gains = np.bincount(part[inside], (costs - other.costs)[inside], count)
+        gains = np.bincount(part[inside], (costs - factor * other.costs)[inside], count)
         areas = np.bincount(part[apart], graph.areas[apart], count)
         better = np.append((gains > 0) & (areas >= config.part_area), False)
         share = share * better[part]

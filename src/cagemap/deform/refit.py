@@ -17,12 +17,13 @@ import numpy as np
 
 from cagemap.deform.config import RefitConfig
 from cagemap.deform.energy import ElasticEnergy, VertexTerms, deformed_normals, minimise, rotations
-from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit, fine_placements, with_best_parts
+from cagemap.deform.fit import coarse_fit, evaluate_placement, fine_fit
 from cagemap.deform.graph import ElasticGraph
-from cagemap.deform.placement import Placement
+from cagemap.deform.placement import Placement, best_parts
 from cagemap.deform.problem import Clusters, Problem
 from cagemap.maps.masks import Masks
 from cagemap.numerics.arrays import FloatArray, nearest_rotations
+from cagemap.numerics.threads import in_threads
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import vertex_normals
@@ -74,9 +75,9 @@ def largest_limb_rotation(energy: ElasticEnergy, masks: Masks, positions: FloatA
 def fit_from_shape(problem: Problem, shape: FloatArray, placed: FloatArray | None = None) -> FloatArray:
     """(n, 3) target's mesh after the coarse and fine stages, with positions ``shape`` as rest shape and start.
 
-    The 1500 clusters do not show fingers. So the fine stage has a second start if there is a placement on the same
-    source, ``placed`` (n, 3): it is moved by its shifts to the coarse placement, which are smoothed, so that it keeps
-    its fingers. The cheaper parts of both count.
+    The clusters do not show fingers. So the fine stage has a second start if there is a placement on the same source,
+    ``placed`` (n, 3): it is moved by its shifts to the coarse placement, which are smoothed, so that it keeps its
+    fingers. Parts of this fit that cost less by more than ``max_equal_cost`` are taken, and fitted once more.
     """
     prepared, normals = problem.prepared, vertex_normals(shape, problem.prepared.mesh.triangles)
     energy, config = prepared.energy.with_rest_shape(shape, normals, prepared.elastic.fine.smoothing), prepared.elastic
@@ -87,7 +88,9 @@ def fit_from_shape(problem: Problem, shape: FloatArray, placed: FloatArray | Non
         return fine_fit(alike, coarse)
     graph = prepared.energy.graph
     moved = placed + smooth_shifts(graph, coarse - placed, np.ones(graph.n), config.refit.start_smoothing)
-    return with_best_parts(alike, fine_placements(alike, [coarse, moved]))[0].positions
+    fits = in_threads(lambda start: evaluate_placement(alike.prepared, fine_fit(alike, start)), (coarse, moved))
+    mixed = best_parts(graph, fits, config.search, config.search.max_equal_cost)
+    return fits[0].positions if mixed is None else fine_fit(alike, mixed)
 
 
 def rigid_pose(graph: ElasticGraph, positions: FloatArray, config: RefitConfig = RefitConfig()) -> FloatArray:
