@@ -198,6 +198,9 @@ def test_nothing_is_taken_that_is_dearer_small_or_near(graph: ElasticGraph) -> N
     one = np.arange(graph.n) == np.argmax(along)
     assert graph.areas[one].sum() < CONFIG.part_area
     assert best_parts(graph, [best, Placement(moved(graph, one), 1.0, cheaper)], CONFIG) is None
+    half = Placement(moved(graph, front), 1.0, cheaper)
+    assert best_parts(graph, [best, half], CONFIG, CONFIG.max_equal_cost) is not None
+    assert best_parts(graph, [best, half], CONFIG, 2.0) is None
 
 
 def test_refined_placements_count_and_the_best_parts_of_all_come_first(graph, monkeypatch):
