@@ -335,11 +335,7 @@ class SurfacePoints:
 
 
 def nearest_facing(
-    surface: TriangleSurface,
-    points: FloatArray,
-    normals: FloatArray,
-    within: FloatArray | float,
-    guess: IndexArray | None = None,
+    surface: TriangleSurface, points: FloatArray, normals: FloatArray, within: float, guess: IndexArray | None = None
 ) -> tuple[SurfacePoints, FloatArray]:
     """Nearest points within a distance on triangles facing along normals, else of all triangles; distances (m,)."""
     triangle, barycentric, distance = closest_points(

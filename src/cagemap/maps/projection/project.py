@@ -12,7 +12,6 @@ from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.flatten import flatten_folded_parts
 from cagemap.maps.projection.relax import relax_folds
-from cagemap.maps.projection.strays import return_strays
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.surface.triangle_surface import SurfacePoints, TriangleSurface
@@ -133,7 +132,7 @@ def held_vertices(landmarks: PointPairs) -> IndexArray:
 
 @kinds_checked
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
-    """Remove most folds of a map: return strays, relax small folds, flatten large ones.
+    """Remove most folds of a map: relax small ones, flatten large ones.
 
     The images of target vertices ``held`` (p,) stay (landmarks); ParameterError if the target lacks one.
     """
@@ -141,6 +140,7 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
     if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
         raise ParameterError(f"held: expected vertices 0 to {point_map.target.n - 1}, got {held.min()} to {held.max()}")
     weight, target = config.projection_normal_weights[0], point_map.target
-    images = return_strays(point_map.images, target.triangles, held)
-    images, flipped = relax_folds(images, target.triangles, held, normal_weight=weight, config=config.projection)
+    images, flipped = relax_folds(
+        point_map.images, target.triangles, held, normal_weight=weight, config=config.projection
+    )
     return PointMap(target, flatten_folded_parts(images, flipped, target, held, config.projection))
