@@ -380,16 +380,24 @@ def test_the_command_writes_the_mesh_with_its_uvs_and_materials(tmp_path: Path, 
     np.testing.assert_array_equal(carried.face_materials, given.face_materials)
 
 
-def test_the_matched_part_of_its_own_file_is_no_passenger(tmp_path: Path, run: Run) -> None:
+def test_the_matched_piece_of_its_own_file_is_no_passenger(tmp_path: Path, run: Run) -> None:
     body, hat = cube(), moved(cube(), (0.0, 0.0, 1.1))
     whole = replace(join_meshes([body, hat]), face_objects=np.repeat([0, 1], 6), object_names=("body", "hat"))
-    write_mesh(tmp_path / "figure.obj", whole)
-    source = extract_faces(read_mesh(tmp_path / "figure.obj"), np.arange(6))
-    result = identity_result(controls=(body.with_positions(2.0 * body.positions), source))
-    inputs = stated_inputs({"source": tmp_path / "figure.obj"}, tmp_path / "R")
+    file = tmp_path / "figure.obj"
+    write_mesh(file, whole)
+    source = extract_faces(read_mesh(file), np.arange(5))  # a face of the body was left out
+    result = identity_result(controls=(source.with_positions(2.0 * source.positions), source))
+    inputs = stated_inputs({"source": file}, tmp_path / "R")
     write_result(tmp_path / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
-    run.done("transfer R --passenger figure.obj --as rigid -o on.obj")
-    np.testing.assert_allclose(read_mesh(tmp_path / "on.obj").positions, 2.0 * hat.positions, rtol=0, atol=1e-6)
+    said = run.done("transfer R --passenger figure.obj --as rigid -o on.obj")
+    assert "6 faces of figure.obj were matched, and are left out" in said.err
+    carried = read_mesh(tmp_path / "on.obj")
+    np.testing.assert_allclose(carried.positions, 2.0 * hat.positions, rtol=0, atol=1e-6)
+    assert carried.object_names == ("hat",)
+    file.write_text(file.read_text() + "# edited\n")
+    said = run.done("transfer R --passenger figure.obj --as rigid -o all.obj")
+    assert "figure.obj has changed since the match" in said.err
+    assert read_mesh(tmp_path / "all.obj").n_faces == 12
 
 
 def test_the_command_refuses_idle_options_and_warns_of_a_passenger_elsewhere(tmp_path: Path, run: Run) -> None:

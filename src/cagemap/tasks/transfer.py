@@ -25,7 +25,7 @@ from cagemap.files.images.image import check_image_name
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.files.meshes.mhclo import FOLLOWER_SUFFIXES
 from cagemap.files.result.folder import read_result
-from cagemap.files.result.manifest import input_file, note_transfer, read_files
+from cagemap.files.result.manifest import input_file, note_transfer, read_files, stated_file
 from cagemap.files.result.maps import SUFFIXES as MAP_SUFFIXES
 from cagemap.files.text import require_file, require_suffix
 from cagemap.files.usd.prims import BLEND_SHAPE, JOINT_WEIGHTS
@@ -41,6 +41,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.faces import place_of_rows
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import extract_faces
+from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray
 from cagemap.tasks.bake_tiles import bake_inputs
 from cagemap.tasks.carry_arrays import carry_values
@@ -247,13 +248,10 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
 def transfer_passenger(request: TransferRequest, result: MatchResult, stages: Stages) -> SummaryAndWarnings:
     """Carry clothes, eyes, hair or a prop; UVs and materials do not change."""
     assert request.passenger is not None
-    mesh = read_mesh(request.passenger)
-    source, target = (input_file(request.result, result.manifest, side) for side in ("source", "target"))
-    if source is not None and source.samefile(request.passenger):  # what was matched is no passenger
-        others = np.flatnonzero(~np.isin(mesh.file_numbers[1], result.source.control.file_numbers[1]))
-        mesh = extract_faces(mesh, others) if len(others) else mesh
+    mesh, notes = _without_matched(read_mesh(request.passenger), request, result)
     check_outputs(mesh_files(request.output, mesh, request.passenger), [request.passenger], force=request.force)
     stages("passenger")
+    target = input_file(request.result, result.manifest, "target")
     of_target, of_source = _to_passenger(request, result)
     worn = transform_mesh(mesh, np.asarray(np.linalg.inv(of_source), dtype=np.float64))
     carried = carry_passenger(result, worn, kind=request.kind)
@@ -270,9 +268,23 @@ def transfer_passenger(request: TransferRequest, result: MatchResult, stages: St
     figures = {"vertices": mesh.n_vertices, "distance": carried.distance, "unit_factor": factor}
     stages.record(figures)
     doubt = far_passenger(str(request.passenger), result.source.control.name, carried.distance, factor)
-    warnings = left_out_warnings(request.passenger, mesh.name, request.output)
+    warnings = [*notes, *left_out_warnings(request.passenger, mesh.name, request.output)]
     warnings += [f"{doubt}: check that both have the same units and place"] if doubt else []
     return f"wrote {request.output}: {mesh.n_vertices} vertices on {result.target.control.name}", warnings
+
+
+def _without_matched(mesh: ControlMesh, request: TransferRequest, result: MatchResult) -> tuple[ControlMesh, list[str]]:
+    """A passenger without pieces of the source's own file that were matched, if it has others; and notes."""
+    file, stated = request.passenger, stated_file(request.result, result.manifest, "source")
+    if file is None or stated is None or not stated.samefile(file):
+        return mesh, []
+    if input_file(request.result, result.manifest, "source") is None:
+        return mesh, [f"{file} has changed since the match: what was matched of it is not left out"]
+    pieces, matched = face_components(mesh), np.isin(mesh.file_numbers[1], result.source.control.file_numbers[1])
+    others = np.flatnonzero(~np.isin(pieces, pieces[matched]))
+    if not len(others):
+        return mesh, []
+    return extract_faces(mesh, others), [f"{mesh.n_faces - len(others)} faces of {file} were matched, and are left out"]
 
 
 def _to_passenger(request: TransferRequest, result: MatchResult) -> tuple[FloatArray, FloatArray]:
