@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cagemap.errors import ParameterError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images.image import read_image, write_image
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import write_result
@@ -239,6 +239,18 @@ def test_a_detail_that_is_the_source_bakes_no_rounding_as_heights(place: Path) -
         pixels, summary, _ = transfer(f"{kind}.png", bake=(kind,), detail=place / "fine.obj", size=16)
         assert "(value - 0.5) * 1 in" in summary
         assert np.ptp(pixels) <= 1
+
+
+def test_all_tiles_of_a_base_are_inputs(place: Path) -> None:
+    cubes = (
+        replace(textured_cube("large.obj", 2.0), uvs=textured_cube("l").uvs * [2, 1] + [1, 0]),
+        textured_cube("small.obj"),
+    )
+    write_result(place / "RESULT", identity_result(1, cubes), force=True)
+    for tile in (1001, 1002, 1003):
+        write_image(place / f"skin.{tile}.png", np.full((16, 16, 3), 80, dtype=np.uint8))
+    given = {"material_colors": True, "source_mask": "red", "bases": (("", place / "skin.1001.png"),), "size": 16}
+    refuses(FormatError, r"skin\.1002\.png.* is an input too", transfer, "skin.<UDIM>.png", force=True, **given)
 
 
 def test_one_tile_of_a_set_is_not_repeated_over_the_others_in_silence(

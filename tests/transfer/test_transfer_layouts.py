@@ -414,3 +414,5 @@ def test_a_set_named_by_its_first_tile_has_the_number_once() -> None:
     assert map_path(first, "") == first
     assert unwrapped_name(first).name == "skin_unwrapped.obj"
     assert udim_path("skin_1024.png", 1002).name == "skin_1024.1002.png"  # a size
+    assert udim_path("photo1001.png", 1002).name == "photo1001.1002.png"  # a name
+    assert udim_path("<udim>.1001.png", 1002).name == "1002.1001.png"

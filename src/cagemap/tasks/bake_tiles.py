@@ -95,6 +95,7 @@ def bake_inputs(request: TransferRequest) -> list[Path]:
         request.result / MANIFEST,
         request.result / ARRAYS,
         *(file for path in given for file in (*texture_files(path), *referred_files(path))),
+        *(file for _, base in request.bases for file in texture_files(as_tile_set(base))),
         *mask_inputs(request).values(),
     ]
 
@@ -379,7 +380,10 @@ def _unwrapped_writer(
 
 
 def map_path(output: Path, name: str) -> Path:
-    """Image of one of several maps, with the map's name before the tile number and the suffix."""
+    """Image of one of several maps, with the map's name before the tile number and the suffix.
+
+    Without a name the number 1001 stays: `udim_path` puts a tile's number there.
+    """
     if not name:
         return with_udim_mark(output)
     output = as_tile_set(output)

@@ -102,7 +102,7 @@ def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stage
             whole &= complete
         for task in step.tasks[number - step.first]:
             stages(task.name)
-            outcome = ended[task.name] = _run_alone(task.name, current)
+            outcome = _run_alone(task.name, current, ended)
             lines += [f"{number} {outcome}", *(f"  {text}" for text in remarks_of(outcome))]
             whole &= outcome.usable
     return use_option_names("\n".join(lines)), whole
@@ -148,19 +148,20 @@ def _request_of(task: Task) -> Any:
     )
 
 
-def _run_alone(name: str, plan: Plan) -> TaskOutcome:
-    """Run one task of a plan, after the composed maps that it needs."""
+def _run_alone(name: str, plan: Plan, ended: dict[str, TaskOutcome]) -> TaskOutcome:
+    """Run one task of a plan, after the composed maps that it needs; their outcomes are added to ``ended``."""
     tasks = {task.name: task for task in plan.tasks}
     task, before = tasks[name], []
     for need in task.needs:
         kept = kept_outcome(plan.root, tasks[need])
         if kept is None and tasks[need].kind == "compose":
-            kept = _run_alone(need, plan)
+            kept = _run_alone(need, plan, ended)
         before.append(kept or TaskOutcome(need, "failed", "not done"))
     unusable = [outcome for outcome in before if not outcome.usable]
     if unusable and kept_outcome(plan.root, task) is None and unusable[0].message == "not done":
         return TaskOutcome(name, "skipped", f"needs '{unusable[0].name}', which is not done. Run its number first.")
-    return execute(task, plan.root, run_task, *before)
+    ended[name] = execute(task, plan.root, run_task, *before)
+    return ended[name]
 
 
 def _kept_outcomes(plan: Plan) -> dict[str, TaskOutcome]:

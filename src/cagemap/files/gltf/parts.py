@@ -61,8 +61,8 @@ class Scene:
 def read_scene(document: Document, *, props: bool = False) -> Scene:
     """Mesh nodes of the displayed scene as parts, and the joints of all skins.
 
-    Skinned meshes are in their bind pose; as glTF demands, their node's transform is ignored. All skins share one bind
-    pose: meshes that were bound in another pose are moved to it. A mesh below a joint follows that joint.
+    Skinned meshes are in their bind pose; as glTF demands, their node's transform is ignored. A joint that a
+    later skin binds in another pose gets a joint below it. A mesh below a joint follows that joint.
     ``props``: nodes of meshes that move by themselves are joints, also without a skin.
     """
     nodes = read_nodes(document)

@@ -33,7 +33,7 @@ Pixels = NDArray[Any]
 UDIM_MARK = "<UDIM>"
 # Other spellings: Arnold's and Houdini's.
 _UDIM_MARKS = re.compile(r"<udim>|%\(udim\)d", re.IGNORECASE)
-_FIRST_NUMBER = re.compile(rf"(?<!\d){FIRST_TILE}(?=\.\w+\Z)")
+_FIRST_NUMBER = re.compile(rf"(?<=[._]){FIRST_TILE}(?=\.\w+\Z)")
 # Pixel types that each format stores exactly.
 _FORMATS: dict[str, tuple[str, ...]] = {
     ".png": ("uint8", "uint16"),
@@ -360,7 +360,7 @@ def tile_pattern(path: str | Path) -> Path:
 def as_tile_set(path: str | Path) -> Path:
     """A path with ``<UDIM>`` in place of the first tile's number, 1001, or of other programs' marks."""
     file = with_udim_mark(Path(path))
-    return file.with_name(_FIRST_NUMBER.sub(UDIM_MARK, file.name)) if file.name else file
+    return file if UDIM_MARK in file.name or not file.name else file.with_name(_FIRST_NUMBER.sub(UDIM_MARK, file.name))
 
 
 def set_of_tile(path: Path) -> Path:
