@@ -66,7 +66,7 @@ class ShapeCarrier:
     rotations: FloatArray  # (t, 3, 3) Q, from the target to the source
     vertex_rotations: FloatArray  # (s, 3, 3)
     length_ratio: float  # length on the target for a length of 1 on the source, both at unit area
-    rest: tuple[FloatArray, NDArray[np.bool_]]  # of the images, by `_inverse_frames`
+    image_frames: tuple[FloatArray, NDArray[np.bool_]]  # (t, 3, 3) and (t,), see `_inverse_frames`
     control_weights: sparse.csr_array  # (c1, c2) target control vertices from source control vertices
     ridge: sparse.dia_array  # (c1, c1), to be multiplied by the anchor
     mass: sparse.csr_array  # (c1, c1) integrals of products of control displacements
@@ -127,7 +127,7 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     moves = source_surface.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.finest_level)
     images = point_map.images.at(slice(len(carrier.masses)))
     image_moves = images.interpolate(moves)
-    deformation = _deformation(*carrier.rest, images.positions + image_moves, carrier.triangles)
+    deformation = _deformation(*carrier.image_frames, images.positions + image_moves, carrier.triangles)
     # (t, 3, 3) gradients of the displacement: F - I on the source, Q^T (F - I) Q on the target
     image_gradients = deformation - np.eye(3)
     target_gradients = carrier.rotations.transpose(0, 2, 1) @ image_gradients @ carrier.rotations
@@ -184,11 +184,11 @@ def contacts(carrier: ShapeCarrier, moves: FloatArray) -> tuple[IndexArray, Inde
     is_near = np.isfinite(distance) & (distance < _CONTACT_DISTANCE * edge_lengths[:, None])
     is_contact = is_near & (np.einsum("sd,skd->sk", normals, normals[nearest]) < _CONTACT_COSINE)
     # Neighbours across a sharp fold of the target are not in contact: they are close at rest.
-    opposed, column = np.nonzero(is_contact)
-    targets, lengths = carrier.point_map.target.positions, edge_lengths[opposed]
-    target_distance = np.linalg.norm(targets[nearest[opposed, column]] - targets[opposed], axis=1)
-    is_touching = np.asarray(distance)[opposed, column] < 0.1 * lengths
-    is_contact[opposed, column] = (target_distance > 3 * lengths) | is_touching
+    row, column = np.nonzero(is_contact)
+    on_target, lengths = carrier.point_map.target.positions, edge_lengths[row]
+    target_distance = np.linalg.norm(on_target[nearest[row, column]] - on_target[row], axis=1)
+    is_touching = np.asarray(distance)[row, column] < 0.1 * lengths
+    is_contact[row, column] = (target_distance > 3 * lengths) | is_touching
     in_contact = is_contact.any(axis=1)
     first = np.flatnonzero(in_contact)
     second = nearest[first, np.argmax(is_contact[first], axis=1)]

@@ -106,8 +106,8 @@ def test_an_own_part_away_from_the_body_is_named(body: ControlMesh) -> None:
     source = Character((Part("body", body, sparse.csr_array(weights)),), rig)
     notes = carry_character(Character((Part("skin", replace(body, name="B.glb")), *own)), source).notes
     assert [note for note in notes if "body sizes away" in note] == [
-        "figure is 9.9 body sizes away from skin on average, but moves with it: if it is no part of it, delete it from "
-        "B.glb"
+        "figure is 9.9 body sizes away from skin on average, but moves with the body: if figure does not belong to it, "
+        "delete figure from B.glb"
     ]
 
 
