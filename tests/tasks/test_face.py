@@ -349,3 +349,11 @@ def test_of_a_rigged_body_the_head_is_taken() -> None:
     assert there.sum() == head.mesh.n_vertices
     assert _head_vertices(body, None) is None
     assert _head_vertices(Part("head", mesh, sparse.csr_array(np.eye(4)[np.full(len(high), 3)])), rig) is None
+
+
+def test_a_whole_body_without_a_skeleton_is_refused_before_the_match(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("cagemap.tasks.face.match_bodies", lambda *_: pytest.fail("the body was matched"))
+    mesh = ball(3)
+    write_mesh(tmp_path / "BODY.obj", mesh.with_positions(mesh.positions * [2.0, 3.5, 1.0]))
+    with pytest.raises(ParameterError, match="'BODY' has the proportions of a whole body"):
+        tasks.run(FaceRequest(tmp_path / "BODY.obj", tmp_path / "OUT.glb"))

@@ -14,7 +14,7 @@ from cagemap.character.body_frames import SignedDistances
 from cagemap.character.normals import with_shape_normals
 from cagemap.character.own_parts import with_nearest_values
 from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.passengers import carry_passengers, far_passenger, hidden_passenger
+from cagemap.character.passengers import MAX_BODY_DISTANCE, carry_passengers, far_passenger, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig, prop_joints
@@ -115,10 +115,8 @@ def carry_character(
         notes += _declined_note([part.name for part in doubled])
         to_carry = [part for part in to_carry if part not in doubled]
         notes += _doubled_note(target_body, [one.name for one in to_carry if placed[one] in compared.doubles_of_pieces])
+    notes += _far_note(source_body, {one: carried[one].distance for one in to_carry if one in carried}, pieces)
     for part in to_carry:
-        if part in carried and (far := far_passenger(part.name, source_body.name, carried[part].distance, 1.0)):
-            leave_out = "" if part is pieces else "; to leave it out, name others by --passengers"
-            notes.append(f"{far}: its place on the other body is a guess{leave_out}")
         if kinds.get(part.name) == "rigid":
             notes += hidden_passenger(result.point_map, part.mesh, placed[part].mesh.positions)
     stages("weights and shapes")
@@ -193,6 +191,22 @@ def _left_out_note(bodies: Bodies, pieces: Part, kept: IndexArray) -> str:
 def _doubled_note(body: Part, names: Sequence[str]) -> list[str]:
     text = "has own pieces of this kind or place. To leave out the character's, name the others by --passengers"
     return [f"{', '.join(names)}: the mesh of {body.mesh.name} {text}"] if names else []
+
+
+def _far_note(body: Part, distances: Mapping[Part, float], pieces: Part) -> list[str]:
+    """A note on passengers far from the character's body, such as those of a second character.
+
+    ``pieces``: the passenger that --passengers cannot leave out.
+    """
+    far = {part: distance for part, distance in distances.items() if distance > MAX_BODY_DISTANCE}
+    if not far:
+        return []
+    names = ", ".join(f"{part.name} {distance:.1f}" for part, distance in far.items())
+    leave_out = "; to leave them out, name others by --passengers, or export this character alone"
+    return [
+        f"far from {body.name}, in body sizes: {names}. Their places on the other body are guesses"
+        f"{'' if far.keys() == {pieces} else leave_out}"
+    ]
 
 
 def _far_own_notes(body: Part, others: Sequence[Part], result: MatchResult) -> list[str]:

@@ -51,6 +51,8 @@ from cagemap.tasks.rig_character import (
 
 # Least trusted share of a head's area: heads have 0.98 and more, a whole body 0.5.
 _LEAST_TRUSTED_SHARE = 0.8
+# Largest extent of a head over its smallest: heads have 1.3 to 1.5, bodies of people and animals with legs 2.9 to 4.5.
+_MAX_HEAD_RATIO = 2.5
 # Radius of eyeballs in units of sqrt(area) of the head; MakeHuman's have 0.04, drawn characters' are larger.
 _EYES = replace(PIECES, max_radius=0.1)
 _AROUND_EYES = ("eye", "brow", "cheekSquint")  # beginnings of names of shapes
@@ -69,6 +71,12 @@ def run_face(request: FaceRequest, stages: Stages) -> SummaryAndWarnings:
     kept = [name for name in asked.shapes if name in body.shapes]
     vertices = _head_vertices(body, file_character.rig)
     head = body if vertices is None else _cut(body, vertices)
+    extents = np.ptp(head.mesh.positions, axis=0)
+    if head is body and request.landmarks is None and extents.max() > _MAX_HEAD_RATIO * extents.min():
+        raise ParameterError(
+            f"{request.head}: expected a head, but {body.name!r} has the proportions of a whole body. Give the head "
+            "alone, a body with a skeleton whose bones are named, --part, or --landmarks if it is a head."
+        )
     landmarks, notes = _landmarks(request, head, file_character)
     bodies = match_bodies(head, kit, landmarks, stages)
     trusted = bodies.result.quality.trusted_area

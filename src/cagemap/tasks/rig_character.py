@@ -48,7 +48,7 @@ from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages, SummaryAndWarnings
 from cagemap.tasks.requests.options import comma_words, files_read
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.tasks.rig_checks import size_warning, split_body_warning, up_warning
+from cagemap.tasks.rig_checks import pose_warning, size_warning, split_body_warning, up_warning
 from cagemap.tasks.rig_materials import (
     BakedImages,
     with_baked_materials,
@@ -75,9 +75,14 @@ def run_rig(request: RigRequest, stages: Stages) -> SummaryAndWarnings:
     )
     bodies = (request.body, target, to), (request.like, source, of)
     notes = [note for path, character, body in bodies for note in split_body_warning(path, character, body)]
+    notes += pose_warning(*bodies[0])
     landmarks, landmark_notes = _landmarks(request, (to, of), (target, given_source))
     keeps = request.keep_textures or of.mesh.face_materials is None
-    laid_out = to.mesh if keeps or of.mesh.uvs is None else with_uvs_in_unit_square(to.mesh)
+    laid_out = to.mesh
+    if not keeps and of.mesh.uvs is not None and document.json.get("images"):
+        if not to.mesh.has_layout:
+            stages("unwrap")
+        laid_out = with_uvs_in_unit_square(to.mesh)
     target, to = _with_mesh(target, to, replace(laid_out, name=request.body.name))
     source, of = _with_mesh(source, of, replace(of.mesh, name=request.like.name))
     carried = carry_character(

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.character.body_frames import BodyFrames
+from cagemap.character.poses import world_transforms
 from cagemap.character.roles import find_continuing_parts
-from cagemap.character.values import Character, Part
+from cagemap.character.values import Character, Part, skinned_positions
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.mesh_report import first_few
@@ -17,6 +18,8 @@ from cagemap.mesh.mesh_report import first_few
 _MIN_UPRIGHT_COSINE = 0.5
 # Ratio of the bodies' sizes, either way, above which there is a warning: feet and metres have 3.3.
 _MAX_BODY_RATIO = 2.5
+# Largest distance of a vertex from the bind pose without a warning, of the body's extent; files in bind pose have 0.
+_MAX_POSE_SHIFT = 0.02
 
 
 def split_body_warning(path: Path, character: Character, body: Part) -> list[str]:
@@ -27,6 +30,20 @@ def split_body_warning(path: Path, character: Character, body: Part) -> list[str
     return [
         f"{path}: {body.name} alone is matched as the body, but {first_few(others)} continues it. Join these parts in "
         "the modelling program (Blender: Ctrl+J, then Merge by Distance)"
+    ]
+
+
+def pose_warning(path: Path, character: Character, body: Part) -> list[str]:
+    """A warning if the file's skeleton poses the body otherwise than its bind pose."""
+    if character.rig is None:
+        return []
+    rest = skinned_positions(body, character.rig, world_transforms(character.rig.local, character.rig.parents))
+    shifts = np.linalg.norm(rest - body.mesh.positions, axis=1)
+    if shifts.max() <= _MAX_POSE_SHIFT * np.ptp(body.mesh.positions, axis=0).max():
+        return []
+    return [
+        f"{path}: {body.name} is taken in its bind pose, not in the pose of its skeleton. To use the pose, apply it in "
+        "the modelling program (Blender: apply the Armature modifier), and export the mesh again"
     ]
 
 

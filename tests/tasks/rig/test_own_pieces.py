@@ -86,14 +86,15 @@ def test_parts_at_the_places_of_loose_pieces_do_not_hide_those(cornea_in_target:
     assert [len(parts) for parts in found.counterparts] == ([1, 1] if cornea_in_target else [2])
 
 
-def test_a_passenger_away_from_the_body_is_named(body: ControlMesh) -> None:
+def test_passengers_away_from_the_body_are_named_in_one_note(body: ControlMesh) -> None:
     size = float(np.sqrt(face_areas(body).sum()))
-    places = body.positions.max(axis=0) + size * np.array([[0.3, 0.0, 0.0], [2.0, 0.0, 0.0]])
-    props = [Part(name, ball(name, place, 0.1)) for name, place in zip(("sword", "lamp"), places, strict=True)]
+    places = body.positions.max(axis=0) + size * np.array([[0.3, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    names = "sword", "lamp", "other body"
+    props = [Part(name, ball(name, place, 0.1)) for name, place in zip(names, places, strict=True)]
     notes = carry_character(Character((Part("body", body),)), Character((Part("body", body), *props))).notes
     assert [note for note in notes if "on the other body" in note] == [
-        "lamp is 2.0 body sizes away from body on average: its place on the other body is a guess; to leave it "
-        "out, name others by --passengers"
+        "far from body, in body sizes: lamp 2.0, other body 3.0. Their places on the other body are guesses; to leave "
+        "them out, name others by --passengers, or export this character alone"
     ]
 
 

@@ -15,9 +15,11 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from cagemap import tasks
-from cagemap.character.values import Character, Part
+from cagemap.character.values import Character, Part, Rig
 from cagemap.errors import ParameterError
 from cagemap.files.gltf.character import read_character
+from cagemap.files.gltf.document import write_document
+from cagemap.files.gltf.write import character_glb
 from cagemap.files.meshes.formats import read_mesh, read_whole, write_mesh
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.quality import unshared_warnings
@@ -34,7 +36,7 @@ from cagemap.tasks.match_summary import body_warnings
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.rig_character import _kinds, _landmarks, character_body, read_body
-from cagemap.tasks.rig_checks import split_body_warning, up_warning
+from cagemap.tasks.rig_checks import pose_warning, split_body_warning, up_warning
 
 from command_line import Run
 from example_character import ball, write_character
@@ -274,3 +276,14 @@ def test_vertices_that_the_repair_splits_have_the_values_of_their_place() -> Non
     assert ready.repairs.cut_vertices == 1
     rows = Bodies((part, part), (ready, ready), None).rows(0)
     np.testing.assert_array_equal(part.mesh.positions[rows], ready.mesh.positions)
+
+
+def test_a_body_that_its_skeleton_poses_is_named(run: Run, files: Character, body: ControlMesh) -> None:
+    places = np.tile(np.eye(4), (2, 1, 1))
+    part = Part("skin", body, sparse.csr_array(np.tile([0.0, 1.0], (body.n_vertices, 1))))
+    rig = Rig(("hips", "chest"), np.array([-1, 0]), places, places)
+    assert pose_warning(Path("B.glb"), Character((part,), rig), part) == []
+    local = places.copy()
+    local[1, :3, :3] = Rotation.from_euler("x", 40.0, degrees=True).as_matrix()
+    write_document("P.glb", character_glb(Character((part,), replace(rig, local=local))))
+    assert "skin is taken in its bind pose" in run.done("rig P.glb --like C.glb -o OUT.glb").err

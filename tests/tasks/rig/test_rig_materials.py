@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cagemap.character.values import Character, Part
+from cagemap.files.gltf.character import read_character
 from cagemap.files.gltf.document import read_document, write_document
 from cagemap.files.gltf.textures import material_images, read_material_image
 from cagemap.files.gltf.write import character_glb
@@ -151,3 +152,15 @@ def test_a_body_whose_uvs_are_all_in_one_point_is_unwrapped() -> None:
 def test_a_body_whose_layout_lies_over_itself_is_said(run, files, monkeypatch):
     monkeypatch.setattr("cagemap.tasks.rig_materials.target_overlap_warnings", lambda control: ["it lies over itself"])
     assert "it lies over itself" in run.done("rig B.glb --like C.glb -o OUT.glb --size 16").err
+
+
+def test_a_body_without_uvs_is_unwrapped_in_its_own_stage_if_the_character_has_images(
+    run: Run, files: Character, body: ControlMesh
+) -> None:
+    write_mesh("B.glb", replace(body, uvs=None, uv_indices=None), force=True)
+    said = run.done("-v rig B.glb --like C.glb -o OUT.glb").err
+    assert "stage: unwrap" in said
+    write_document("C.glb", character_glb(files), force=True)
+    said = run.done("-v rig B.glb --like C.glb -o OUT.glb --force").err
+    assert "stage: unwrap" not in said
+    assert part_named(read_character("OUT.glb"), "body").mesh.uvs is None
