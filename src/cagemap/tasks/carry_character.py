@@ -216,9 +216,8 @@ def _far_own_notes(body: Part, others: Sequence[Part], result: MatchResult) -> l
         points = surface.scale * part.mesh.positions[:: 1 + part.mesh.n_vertices // _DISTANCE_SAMPLES]
         distance = float(np.abs(SignedDistances.of(surface, points).heights).mean())
         if far := far_passenger(part.name, body.name, distance, 1.0):
-            notes.append(
-                f"{far}, but moves with the body: if {part.name} does not belong to it, delete {part.name} from {body.mesh.name}"
-            )
+            remedy = f"if {part.name} does not belong to it, delete {part.name} from {body.mesh.name}"
+            notes.append(f"{far}, but moves with the body: {remedy}")
     return notes
 
 
