@@ -14,7 +14,7 @@ from cagemap.character.body_frames import SignedDistances
 from cagemap.character.normals import with_shape_normals
 from cagemap.character.own_parts import with_nearest_values
 from cagemap.character.passenger_pieces import PassengerKind
-from cagemap.character.passengers import MAX_BODY_DISTANCE, carry_passengers, far_passenger, hidden_passenger
+from cagemap.character.passengers import MAX_BODY_DISTANCE, carry_passengers, hidden_passenger
 from cagemap.character.retarget import retarget_all
 from cagemap.character.roles import find_body
 from cagemap.character.skeleton import carry_rig, prop_joints
@@ -127,7 +127,7 @@ def carry_character(
     if weights is not None:
         counterparts = [[part for part in parts if part.weights is not None] for parts in counterparts]
     own = with_nearest_values([*loose, *others], skin, counterparts, result.point_map.target, influences)
-    notes += [] if weights is None else _far_own_notes(target_body, others, result)
+    notes += [] if weights is None else _far_own_note(target_body, others, result)
     body = replace(target_body, name=source_body.name, weights=weights, shapes=shapes)
     body = _with_values_of(body, own[: len(loose)], matched.ready[0].vertex_of < 0)
     body = replace(body, shapes={**body.shapes, **target_body.shapes})
@@ -198,27 +198,26 @@ def _far_note(body: Part, distances: Mapping[Part, float], pieces: Part) -> list
 
     ``pieces``: the passenger that --passengers cannot leave out.
     """
-    far = {part: distance for part, distance in distances.items() if distance > MAX_BODY_DISTANCE}
-    if not far:
-        return []
-    names = ", ".join(f"{part.name} {distance:.1f}" for part, distance in far.items())
+    others = {part: distance for part, distance in distances.items() if part is not pieces}
     leave_out = "; to leave them out, name others by --passengers, or export this character alone"
-    return [
-        f"far from {body.name}, in body sizes: {names}. Their places on the other body are guesses"
-        f"{'' if far.keys() == {pieces} else leave_out}"
-    ]
+    guess = ". Their places on the other body are guesses" + (leave_out if _far_parts(body, others) else "")
+    return [text + guess for text in _far_parts(body, distances)]
 
 
-def _far_own_notes(body: Part, others: Sequence[Part], result: MatchResult) -> list[str]:
-    """Notes on other parts of the target that are far from its body, such as a second figure."""
-    surface, notes = result.point_map.target, list[str]()
+def _far_own_note(body: Part, others: Sequence[Part], result: MatchResult) -> list[str]:
+    """A note on other parts of the target that are far from its body, such as a second figure."""
+    surface, distances = result.point_map.target, dict[Part, float]()
     for part in others:
         points = surface.scale * part.mesh.positions[:: 1 + part.mesh.n_vertices // _DISTANCE_SAMPLES]
-        distance = float(np.abs(SignedDistances.of(surface, points).heights).mean())
-        if far := far_passenger(part.name, body.name, distance, 1.0):
-            remedy = f"if {part.name} does not belong to it, delete {part.name} from {body.mesh.name}"
-            notes.append(f"{far}, but moves with the body: {remedy}")
-    return notes
+        distances[part] = float(np.abs(SignedDistances.of(surface, points).heights).mean())
+    remedy = f". They move with it; delete those that do not belong to it from {body.mesh.name}"
+    return [text + remedy for text in _far_parts(body, distances)]
+
+
+def _far_parts(body: Part, distances: Mapping[Part, float]) -> list[str]:
+    """Which parts are far from a body by their distances, in a sentence; none if no part is."""
+    far = [f"{part.name} {distance:.1f}" for part, distance in distances.items() if distance > MAX_BODY_DISTANCE]
+    return [f"far from {body.name}, in body sizes: {', '.join(far)}"] if far else []
 
 
 def _set_aside(bodies: Bodies, side: int) -> Part:

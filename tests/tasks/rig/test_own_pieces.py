@@ -105,10 +105,12 @@ def test_an_own_part_away_from_the_body_is_named(body: ControlMesh) -> None:
     own = [Part(name, ball(name, place, 0.1)) for name, place in zip(("sword", "figure"), places, strict=True)]
     rig, weights = Rig(("hips",), np.array([-1]), *2 * [np.eye(4)[None]]), np.ones((body.n_vertices, 1))
     source = Character((Part("body", body, sparse.csr_array(weights)),), rig)
-    notes = carry_character(Character((Part("skin", replace(body, name="B.glb")), *own)), source).notes
-    assert [note for note in notes if "body sizes away" in note] == [
-        "figure is 9.9 body sizes away from skin on average, but moves with the body: if figure does not belong to it, "
-        "delete figure from B.glb"
+    target = Character((Part("skin", replace(body, name="B.glb")), *own))
+    assert not [
+        note for note in carry_character(target, Character((Part("body", body),))).notes if "body sizes" in note
+    ]
+    assert [note for note in carry_character(target, source).notes if "in body sizes" in note] == [
+        "far from skin, in body sizes: figure 9.9. They move with it; delete those that do not belong to it from B.glb"
     ]
 
 
