@@ -238,6 +238,15 @@ def test_a_long_command_without_a_terminal_says_its_stages(capsys, monkeypatch):
     set_verbosity(0, quiet=False)
 
 
+def test_control_characters_of_names_do_not_reach_the_terminal(run: Run, tmp_path: Path) -> None:
+    names = ("red\x1b[2J", "blue\x07")
+    parts = join_meshes([cube(), cube().with_positions(cube().positions + 3.0)])
+    write_mesh(tmp_path / "cubes.obj", replace(parts, face_objects=np.repeat([0, 1], 6), object_names=names))
+    said = run("check", "cubes.obj")
+    assert "red\\x1b[2J" in said.out
+    assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f]", said.out + said.err)
+
+
 def test_faults_of_ours_are_said_to_be(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def break_down(paths: object) -> None:
         raise ZeroDivisionError("by zero")

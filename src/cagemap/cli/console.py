@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import sys
 from collections.abc import Iterable
 
 from cagemap.errors import FormatError, use_option_names
 
 _log = logging.getLogger("cagemap.cli")
+_CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")  # all but the line feed
 
 
 class _StatusHandler(logging.Handler):
@@ -34,7 +36,7 @@ class _StatusHandler(logging.Handler):
 def write_status(text: str) -> None:
     """Write a line to standard error; a closed pipe or a full disk is no error."""
     try:
-        sys.stderr.write(f"cagemap: {text}\n")
+        sys.stderr.write(f"cagemap: {_escaped(text)}\n")
         sys.stderr.flush()
     except OSError:
         _discard_output(sys.stderr.fileno())
@@ -55,7 +57,7 @@ def say(text: str, *, always: bool = False) -> None:
     if not always and not _log.isEnabledFor(logging.WARNING):
         return
     try:
-        sys.stdout.write(f"{use_option_names(text)}\n")
+        sys.stdout.write(f"{_escaped(use_option_names(text))}\n")
         sys.stdout.flush()
     except BrokenPipeError:
         _discard_output(sys.stdout.fileno())
@@ -81,6 +83,11 @@ def escape_unprintable_output() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+
+
+def _escaped(text: str) -> str:
+    """Text with control characters as Python writes them: names in foreign files may hold them."""
+    return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
 
 
 def _discard_output(descriptor: int) -> None:
